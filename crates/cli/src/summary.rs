@@ -4,8 +4,8 @@ use std::fmt::Write;
 use std::path::Path;
 
 use tiepoint_pipeline::{
-    CloudEvaluation, DenseReport, ErrorStatistics, ModelReport, PoseEvaluation, Report, RigCamera,
-    RigidReport, SplitReport,
+    CloudEvaluation, DenseReport, ErrorStatistics, ModelReport, PoseEvaluation, RegisteredCloud,
+    Report, RigCamera, RigidReport, SplitReport,
 };
 
 use crate::output::printable;
@@ -240,7 +240,7 @@ pub(crate) fn poses(evaluation: &PoseEvaluation) -> String {
 
 /// Distances between a cloud and a reference.
 pub(crate) fn cloud(evaluation: &CloudEvaluation) -> String {
-    let CloudEvaluation { points, reference_points, scale, iterations, .. } = evaluation;
+    let RegisteredCloud { points, reference_points, scale, iterations, .. } = &evaluation.cloud;
     let line = |distance: &ErrorStatistics| {
         let ErrorStatistics { mean, std, median, max, .. } = distance;
         format!("mean {mean:.6}  std {std:.6}  median {median:.6}  max {max:.6}")
@@ -250,7 +250,7 @@ pub(crate) fn cloud(evaluation: &CloudEvaluation) -> String {
         iterations\n\
          cloud to reference  {}\n\
          reference to cloud  {}\n",
-        line(&evaluation.distance),
+        line(&evaluation.cloud.distance),
         line(&evaluation.reference_distance),
     )
 }

@@ -16,9 +16,9 @@ use crate::{Error, ErrorStatistics};
 /// Largest number of points that ICP uses, which bounds its run time.
 const MAX_ICP_POINTS: usize = 50_000;
 
-/// Distances between the nearest points of a cloud and a reference, in units of the reference.
+/// A cloud that is registered with a reference. Lengths are in units of the reference.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct CloudEvaluation {
+pub struct RegisteredCloud {
     /// Number of points of the cloud.
     pub points: usize,
     /// Number of points of the reference.
@@ -30,11 +30,25 @@ pub struct CloudEvaluation {
     /// Accuracy: distances of the points to their nearest neighbours in the reference. The paper
     /// has `mean` and `std`.
     pub distance: ErrorStatistics,
-    /// Completeness: distances of the reference points to their nearest neighbours in the cloud.
-    pub reference_distance: ErrorStatistics,
     /// The alignment.
     #[serde(skip)]
     pub reference_from_cloud: Sim3,
+    /// The points in the frame of the reference.
+    #[serde(skip)]
+    pub registered: Vec<Vector3<f64>>,
+    /// The distance of each point.
+    #[serde(skip)]
+    pub distances: Vec<f64>,
+}
+
+/// Distances between the nearest points of a cloud and a reference, in units of the reference.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct CloudEvaluation {
+    /// The cloud beside the reference.
+    #[serde(flatten)]
+    pub cloud: RegisteredCloud,
+    /// Completeness: distances of the reference points to their nearest neighbours in the cloud.
+    pub reference_distance: ErrorStatistics,
 }
 
 /// Compares a cloud with a reference after ICP from the initial `reference_from_cloud` in `start`.
@@ -46,29 +60,42 @@ pub fn evaluate_cloud(
     start: &Sim3,
     alignment: Alignment,
 ) -> Option<CloudEvaluation> {
-    let finite = |points: &[Vector3<f64>]| -> Vec<Vector3<f64>> {
-        points.iter().filter(|point| point.iter().all(|value| value.is_finite())).copied().collect()
-    };
-    let (points, indexed) = (finite(cloud), Cloud::new(finite(reference))?);
-    let aligned = indexed.align(
-        &sample(&points),
-        start,
-        &IcpOptions { alignment, ..IcpOptions::default() },
-    )?;
+    let reference = Cloud::new(finite(reference))?;
+    let mut cloud = register_cloud(cloud, &reference, start, alignment)?;
+    let back = Cloud::new(std::mem::take(&mut cloud.registered))?.distances_of(reference.points());
+    Some(CloudEvaluation { cloud, reference_distance: Statistics::of(&back)?.into() })
+}
+
+/// Registers a cloud with a reference by ICP from the initial `reference_from_cloud` in `start`.
+/// Points with non-finite coordinates are left out. `None` if no points are left, or if they do not
+/// determine the alignment.
+pub fn register_cloud(
+    cloud: &[Vector3<f64>],
+    reference: &Cloud,
+    start: &Sim3,
+    alignment: Alignment,
+) -> Option<RegisteredCloud> {
+    let points = finite(cloud);
+    let options = IcpOptions { alignment, ..IcpOptions::default() };
+    let aligned = reference.align(&sample(&points), start, &options)?;
     let reference_from_cloud = aligned.reference_from_cloud;
-    let moved: Vec<Vector3<f64>> =
+    let registered: Vec<Vector3<f64>> =
         points.iter().map(|point| reference_from_cloud * *point).collect();
-    let distance = Statistics::of(&indexed.distances_of(&moved))?;
-    let back = Cloud::new(moved)?.distances_of(indexed.points());
-    Some(CloudEvaluation {
+    let distances = reference.distances_of(&registered);
+    Some(RegisteredCloud {
         points: points.len(),
-        reference_points: indexed.points().len(),
+        reference_points: reference.points().len(),
         scale: reference_from_cloud.scale,
         iterations: aligned.iterations,
-        distance: distance.into(),
-        reference_distance: Statistics::of(&back)?.into(),
+        distance: Statistics::of(&distances)?.into(),
         reference_from_cloud,
+        registered,
+        distances,
     })
+}
+
+fn finite(points: &[Vector3<f64>]) -> Vec<Vector3<f64>> {
+    points.iter().filter(|point| point.iter().all(|value| value.is_finite())).copied().collect()
 }
 
 /// Every n-th point, at most [`MAX_ICP_POINTS`].

@@ -62,7 +62,7 @@ mod workspace;
 pub use adjust::{AdjustReport, AdjustStep, adjust};
 pub use calibration::CalibrationSource;
 pub use cameras::Calibration;
-pub use cloud::{CloudEvaluation, evaluate_cloud, read_cloud};
+pub use cloud::{CloudEvaluation, RegisteredCloud, evaluate_cloud, read_cloud, register_cloud};
 pub use dense::dense;
 pub use dense_options::DenseOptions;
 pub use depth_pictures::DenseView;

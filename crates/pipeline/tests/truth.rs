@@ -174,14 +174,14 @@ fn icp_aligns_a_moved_cloud_to_its_scan() {
     // An approximate alignment, as the camera poses would give it.
     let start = Sim3 { scale: 4.0, ..Sim3::identity() };
     let found = evaluate_cloud(&cloud, &scan, &start, Alignment::Rigid).unwrap();
-    assert!(found.distance.max < 1e-6, "{found:?}");
-    assert!((found.scale - 4.0).abs() < 1e-9);
+    assert!(found.cloud.distance.max < 1e-6, "{found:?}");
+    assert!((found.cloud.scale - 4.0).abs() < 1e-9);
     let unaligned = evaluate_cloud(&cloud, &scan, &start, Alignment::None).unwrap();
-    assert!(unaligned.distance.mean > 0.05, "{unaligned:?}");
+    assert!(unaligned.cloud.distance.mean > 0.05, "{unaligned:?}");
     // The cloud has every third point of the scan.
     assert!(
         found.reference_distance.mean > 0.0
-            && found.reference_distance.mean < unaligned.distance.mean * 10.0
+            && found.reference_distance.mean < unaligned.cloud.distance.mean * 10.0
     );
     assert!(evaluate_cloud(&[], &scan, &start, Alignment::Rigid).is_none());
 }
@@ -209,8 +209,8 @@ fn coarse_alignment_needs_no_initial_guess() {
     let found = evaluate_cloud(&cloud, &scan, &start, Alignment::Similarity).unwrap();
     // At 10 m the points of a scan are half a metre apart, with noise of 1.5 cm: ICP changes the
     // scale by some 1e-3.
-    assert!((found.scale * moved.scale - 1.0).abs() < 0.01, "{found:?}");
-    assert!(found.distance.median < 0.3, "{found:?}");
+    assert!((found.cloud.scale * moved.scale - 1.0).abs() < 0.01, "{found:?}");
+    assert!(found.cloud.distance.median < 0.3, "{found:?}");
     let line: Vec<_> = (0..50).map(|k| Vector3::new(f64::from(k), 0.0, 0.0)).collect();
     assert!(find_alignment(&line, &line).is_none());
     assert!(find_alignment(&[], &scan).is_none());

@@ -6,12 +6,12 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use serde::Serialize;
-use tiepoint_pipeline::eval::geometry::nalgebra::Vector3;
+use tiepoint_pipeline::eval::Cloud;
 use tiepoint_pipeline::sfm::scene::Reconstruction;
 use tiepoint_pipeline::sfm::{MapperOptions, RigTerm};
 use tiepoint_pipeline::{
-    CameraError, CloudEvaluation, FeatureOptions, MapOptions, MatchOptions, Options,
-    PoseEvaluation, Report, ReportModel, ReportSection, RigCamera, SurfaceEvaluation, Table,
+    CameraError, FeatureOptions, MapOptions, MatchOptions, Options, PoseEvaluation,
+    RegisteredCloud, Report, ReportModel, ReportSection, RigCamera, SurfaceEvaluation, Table,
     TableRow, Thumbnails, Workspace, reconstruct, refuse_foreign_page, report_html, write_page,
 };
 use tiepoint_synth::{Drive, DriveOptions, Mount, Mounting, RouteKind};
@@ -105,7 +105,7 @@ struct Run {
     #[serde(skip)]
     camera_errors: Vec<CameraError>,
     surface: Option<SurfaceEvaluation>,
-    cloud: Option<CloudEvaluation>,
+    cloud: Option<RegisteredCloud>,
     /// Scale of the last fifth of the first camera's path over that of its first fifth; 1 without
     /// scale drift.
     scale_drift: Option<f64>,
@@ -137,7 +137,7 @@ fn reconstruct_drive(
     let plan = plan(args, setting, folder.join("drive"))?;
     let drive = plan.drive()?;
     let rendered = render(&plan, &drive, progress)?;
-    let scan = scan(&drive)?;
+    let scan = Cloud::new(scan(&drive)?);
     let options = |rig| Options {
         features: FeatureOptions {
             timestamps: Some(plan.folder.join("timestamps.csv")),
@@ -164,7 +164,7 @@ fn reconstruct_drive(
         let inputs = std::slice::from_ref(&plan.folder);
         let report =
             reconstruct(inputs, &workspace, &options(term), &mut |event| progress.watch(event))?;
-        runs.push(evaluate(rig, workspace, report, &drive, &rendered, &scan)?);
+        runs.push(evaluate(rig, workspace, report, &drive, &rendered, scan.as_ref())?);
     }
     let true_offset_s = true_offset_s(&drive);
     Ok(DriveOutcome { name: setting.name, plan, setting, drive: rendered, true_offset_s, runs })
@@ -196,7 +196,7 @@ fn evaluate(
     report: Report,
     drive: &Drive,
     rendered: &Rendered,
-    scan: &[Vector3<f64>],
+    scan: Option<&Cloud>,
 ) -> Result<Run, Failure> {
     let DriveEvaluation { poses, model, camera_errors, surface, cloud, .. } =
         evaluate_drive(&workspace, drive, &rendered.truth, scan, |_| true)?;

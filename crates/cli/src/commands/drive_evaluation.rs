@@ -4,12 +4,12 @@ use std::path::Path;
 
 use tiepoint_pipeline::eval::geometry::Sim3;
 use tiepoint_pipeline::eval::geometry::nalgebra::{Vector2, Vector3};
-use tiepoint_pipeline::eval::{Alignment, TrueObservation};
+use tiepoint_pipeline::eval::{Alignment, Cloud, TrueObservation};
 use tiepoint_pipeline::io::colmap::read_model;
 use tiepoint_pipeline::sfm::scene::{Image, ImageId, Reconstruction};
 use tiepoint_pipeline::{
-    CameraError, CloudEvaluation, Error, PoseEvaluation, RigEvaluation, SurfaceEvaluation, Truth,
-    TruthFormat, evaluate_cloud, evaluate_poses, evaluate_rig, evaluate_surface, model_folder,
+    CameraError, Error, PoseEvaluation, RegisteredCloud, RigEvaluation, SurfaceEvaluation, Truth,
+    TruthFormat, evaluate_poses, evaluate_rig, evaluate_surface, model_folder, register_cloud,
 };
 use tiepoint_synth::Drive;
 
@@ -25,13 +25,13 @@ pub(crate) struct DriveEvaluation {
     pub(crate) baseline: Option<RigEvaluation>,
     pub(crate) surface: Option<SurfaceEvaluation>,
     /// Distances to the scan after Sim(3) alignment of the cameras and rigid ICP.
-    pub(crate) cloud: Option<CloudEvaluation>,
+    pub(crate) cloud: Option<RegisteredCloud>,
     /// Distances to the scan of the same tracks, triangulated with the true cameras.
-    pub(crate) exact_cloud: Option<CloudEvaluation>,
+    pub(crate) exact_cloud: Option<RegisteredCloud>,
 }
 
-/// Compares a workspace with its drive. `truth` is the folder of the true model, `scan` the points
-/// of the laser scan in metres; `is_compared` selects the points of the cloud (in the world frame)
+/// Compares a workspace with its drive. `truth` is the folder of the true model, `scan` the laser
+/// scan in metres; `is_compared` selects the points of the cloud (in the world frame)
 /// that are compared with it.
 ///
 /// # Errors
@@ -41,7 +41,7 @@ pub(crate) fn evaluate_drive(
     workspace: &Path,
     drive: &Drive,
     truth: &Path,
-    scan: &[Vector3<f64>],
+    scan: Option<&Cloud>,
     is_compared: impl Fn(&Vector3<f64>) -> bool,
 ) -> Result<DriveEvaluation, Error> {
     let truth = Truth { format: TruthFormat::Colmap, path: truth.to_owned() };
@@ -59,11 +59,14 @@ pub(crate) fn evaluate_drive(
     let points = model.tracks().map(|(_, track)| world_from_model * track.xyz);
     let points: Vec<Vector3<f64>> =
         points.filter(|point| is_near(&|error| error.estimated_centre, point)).collect();
-    let cloud = evaluate_cloud(&points, scan, &Sim3::identity(), Alignment::Rigid);
+    let register = |points: &[Vector3<f64>], alignment| {
+        register_cloud(points, scan?, &Sim3::identity(), alignment)
+    };
+    let cloud = register(&points, Alignment::Rigid);
     let exact = surface.iter().flat_map(|surface| &surface.exact_points).copied();
     let exact: Vec<Vector3<f64>> =
         exact.filter(|point| is_near(&|error| error.true_centre, point)).collect();
-    let exact_cloud = evaluate_cloud(&exact, scan, &Sim3::identity(), Alignment::None);
+    let exact_cloud = register(&exact, Alignment::None);
     let baseline = evaluate_rig(&model, poses.scale).into_iter().next();
     Ok(DriveEvaluation { poses, model, camera_errors, baseline, surface, cloud, exact_cloud })
 }

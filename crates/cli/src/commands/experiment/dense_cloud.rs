@@ -5,9 +5,9 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 use tiepoint_pipeline::eval::geometry::Sim3;
 use tiepoint_pipeline::eval::geometry::nalgebra::Vector3;
-use tiepoint_pipeline::eval::{Alignment, Cloud, IcpOptions, Statistics};
+use tiepoint_pipeline::eval::{Alignment, Cloud};
 use tiepoint_pipeline::{
-    CameraError, CloudError, DenseOptions, Error, Workspace, dense, read_cloud,
+    CameraError, CloudError, DenseOptions, Error, Workspace, dense, read_cloud, register_cloud,
 };
 
 use super::run::Distance;
@@ -16,9 +16,6 @@ use crate::progress::Progress;
 
 /// The fused cloud in a workspace.
 const CLOUD: &str = "dense/fused.ply";
-/// Largest number of points that are registered with the scan, as in `evaluate cloud`.
-const MAX_ICP_POINTS: usize = 50_000;
-
 /// Errors of a dense cloud.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(super) struct DenseCloud {
@@ -76,16 +73,9 @@ impl Comparison<'_> {
         let points: Vec<Vector3<f64>> =
             points.filter(|point| is_near(point) && (self.is_compared)(point)).collect();
         let alignment = if self.has_true_poses { Alignment::None } else { Alignment::Rigid };
-        let step = points.len().div_ceil(MAX_ICP_POINTS).max(1);
-        let sample: Vec<Vector3<f64>> = points.iter().step_by(step).copied().collect();
-        let options = IcpOptions { alignment, ..IcpOptions::default() };
-        let aligned = self.scan.align(&sample, &Sim3::identity(), &options)?;
-        let points: Vec<Vector3<f64>> =
-            points.iter().map(|point| aligned.reference_from_cloud * *point).collect();
-        let distances = self.scan.distances_of(&points);
-        let Statistics { mean: mean_m, std: std_m, .. } = Statistics::of(&distances)?;
-        let along = self.along(&points, &distances)?;
-        Some(DenseCloud { points: points.len(), distance: Distance { mean_m, std_m }, along })
+        let cloud = register_cloud(&points, self.scan, &Sim3::identity(), alignment)?;
+        let along = self.along(&cloud.registered, &cloud.distances)?;
+        Some(DenseCloud { points: cloud.points, distance: Distance::from(&cloud), along })
     }
 
     /// The mean distance of the points that each image of the first camera is nearest to.

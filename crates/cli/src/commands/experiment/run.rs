@@ -11,7 +11,7 @@ use tiepoint_pipeline::eval::geometry::Sim3;
 use tiepoint_pipeline::eval::geometry::nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use tiepoint_pipeline::sfm::{MapperOptions, Readout, RigTerm};
 use tiepoint_pipeline::{
-    CloudEvaluation, Error, FeatureOptions, InputModel, MapOptions, MatchOptions, Options, Report,
+    Error, FeatureOptions, InputModel, MapOptions, MatchOptions, Options, RegisteredCloud, Report,
     RigCamera, Workspace, map, reconstruct,
 };
 use tiepoint_synth::Drive;
@@ -109,8 +109,8 @@ pub(super) struct Distance {
     pub(super) std_m: f64,
 }
 
-impl From<CloudEvaluation> for Distance {
-    fn from(cloud: CloudEvaluation) -> Self {
+impl From<&RegisteredCloud> for Distance {
+    fn from(cloud: &RegisteredCloud) -> Self {
         Self { mean_m: cloud.distance.mean, std_m: cloud.distance.std }
     }
 }
@@ -123,8 +123,8 @@ impl Scan {
         Self(OnceCell::new())
     }
 
-    /// The points of the scan on one side of the street.
-    fn on_side(&self, drive: &Drive, side: &Side) -> Result<Vec<Vector3<f64>>, Failure> {
+    /// The points of the scan on one side of the street; `None` if there are none.
+    fn on_side(&self, drive: &Drive, side: &Side) -> Result<Option<Cloud>, Failure> {
         let points = match self.0.get() {
             Some(points) => points,
             None => {
@@ -132,7 +132,7 @@ impl Scan {
                 self.0.get_or_init(|| computed)
             }
         };
-        Ok(points.par_iter().filter(|point| side.contains(point)).copied().collect())
+        Ok(Cloud::new(points.par_iter().filter(|point| side.contains(point)).copied().collect()))
     }
 }
 
@@ -222,7 +222,8 @@ impl Task<'_> {
             Err(failure) => return Ok(Err(failure)),
         };
         let truth = self.plan.truth();
-        evaluate_drive(model, self.drive, &truth, &reference, |point| side.contains(point)).map(Ok)
+        evaluate_drive(model, self.drive, &truth, reference.as_ref(), |point| side.contains(point))
+            .map(Ok)
     }
 
     /// The dense clouds of the workspace and of the true poses and intrinsics.
@@ -233,9 +234,7 @@ impl Task<'_> {
         scan: &Scan,
         progress: &mut Progress,
     ) -> Result<[Option<DenseCloud>; 2], Failure> {
-        let Some(scan) = Cloud::new(scan.on_side(self.drive, side)?) else {
-            return Ok([None, None]);
-        };
+        let Some(scan) = scan.on_side(self.drive, side)? else { return Ok([None, None]) };
         let mut comparison = Comparison {
             scan: &scan,
             world_from_model: judged.poses.truth_from_model,
@@ -336,8 +335,8 @@ impl Measurements {
             points: model.num_tracks(),
             dense: None,
             exact_dense: None,
-            cloud: cloud.map(Distance::from),
-            exact_cloud: exact_cloud.map(Distance::from),
+            cloud: cloud.as_ref().map(Distance::from),
+            exact_cloud: exact_cloud.as_ref().map(Distance::from),
             surface_m: surface.and_then(|surface| Some(surface.near?.median)),
             ate_m: poses.centre_error.rmse,
             horizontal_m: rms(&|off| off.xy().norm_squared()),
