@@ -6,11 +6,12 @@
     TIEPOINT_DATA=... python bench/dense.py [CASE ...] [--openmvs DensifyPointCloud] \\
         [--seed 1] [--threads 2] [--size PX] [--results RESULTS.json] [--keep FOLDER]
 
-Cases: `room` (bench/dense_scene.py: no planes), `street` (tiepoint synth), fountain-P11, sceaux,
-kitti04, and for time and memory fountain-P11 at 3 megapixels and drives of 100 to 400 images. Each reconstructs the photos, then measures `tiepoint dense` with the model's own poses;
-the first two also with the true poses, whose tracks are triangulated again. OpenMVS gets the
+Cases: `room` (bench/dense_scene.py: no planes), `street` (tiepoint synth), photos (fountain-P11,
+sceaux, Herz-Jesus-P8), kitti04, and for time and memory fountain-P11 at 3 megapixels and drives of
+100 to 400 images. Each reconstructs the photos, then measures `tiepoint dense` with the model's own
+poses; the first two also with the true poses, whose tracks are triangulated again. OpenMVS gets the
 scene.mvs of the same model, at the same size and with the same threads; without --openmvs it is
-left out.
+left out, as it is for time and memory.
 
 With truth, a true surface is sampled at every second pixel of every second row that two images see.
 Accuracy is the share of the cloud within k footprints of it, completeness the share of it within k
@@ -36,7 +37,7 @@ import dense_scene
 from program import program_of, tiepoint
 
 SCENES = {"room": (12, (480, 360)), "street": (12, (480, 360))}
-PHOTOS = {"fountain-P11": 1024, "sceaux": 1024}
+PHOTOS = {"fountain-P11": 1024, "sceaux": 1024, "Herz-Jesus-P8": 1024}
 KITTI_FRAMES = 16
 # Only for time and memory, without OpenMVS: 11 photos of 3 megapixels, and drives.
 LARGE, LARGE_SIDE = "fountain-P11 3 megapixels", 2121
