@@ -186,13 +186,7 @@ pub(crate) fn verify_imported_pairs(
         batch.clear();
         taken?;
     }
-    let seconds = start.elapsed().as_secs_f64();
-    report.seconds = seconds;
-    workspace.complete(STAGE);
-    workspace.note(|all| all.stages.matches = Some(report))?;
-    database.write_stage_rows(&workspace.records.rows())?;
-    database.close()?;
-    emit(watch, &Event::StageDone { stage: STAGE, seconds })
+    workspace.complete_matching(database, report, start, watch)
 }
 
 /// The pairs of a database.

@@ -125,15 +125,8 @@ pub fn match_images(
     let images = database.read_images()?;
     let MatchOptions { pairs, seed, .. } = *options;
     let choice = pair_choice::of_images(workspace, &database, &images, pairs, seed)?;
-    let mut report = match_pairs(&mut database, choice, options, watch)?;
-    let seconds = start.elapsed().as_secs_f64();
-    report.seconds = seconds;
-    // The report is written first, because the database marks the stage as complete.
-    workspace.complete(STAGE);
-    workspace.note(|all| all.stages.matches = Some(report))?;
-    database.write_stage_rows(&workspace.records.rows())?;
-    database.close()?;
-    emit(watch, &Event::StageDone { stage: STAGE, seconds })
+    let report = match_pairs(&mut database, choice, options, watch)?;
+    workspace.complete_matching(database, report, start, watch)
 }
 
 /// Matches and verifies the pairs of a choice that have no matches in the database yet. Completed

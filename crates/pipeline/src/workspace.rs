@@ -2,6 +2,7 @@
 
 use std::fs::{self, File, OpenOptions, TryLockError};
 use std::path::{Path, PathBuf};
+use std::time::Instant;
 
 use tiepoint_io::database::{Database, read_stage_rows};
 use tiepoint_io::disk;
@@ -9,7 +10,7 @@ use tiepoint_io::disk;
 use crate::file_names::{RIG, SPARSE, is_rig_name, model_path};
 use crate::output_folder::{OutputFolder, model_names, output};
 use crate::records::{Progress, Recipe, Records, json};
-use crate::{Error, Report, Stage};
+use crate::{Error, Event, MatchReport, Report, Stage, Watch, emit};
 
 /// A workspace, locked by this process.
 #[derive(Debug)]
@@ -243,6 +244,27 @@ impl Workspace {
     /// Marks a stage as complete; the next [`Workspace::publish`] writes that.
     pub(crate) fn complete(&mut self, stage: Stage) {
         self.records.complete(stage);
+    }
+
+    /// Records the report of matching and that it is complete, and closes the database.
+    ///
+    /// # Errors
+    ///
+    /// The records cannot be written, or `watch` returns `Break`.
+    pub(crate) fn complete_matching(
+        &mut self,
+        mut database: Database,
+        report: MatchReport,
+        start: Instant,
+        watch: Watch,
+    ) -> Result<(), Error> {
+        let seconds = start.elapsed().as_secs_f64();
+        // The report is written first, because the database marks the stage as complete.
+        self.complete(Stage::Match);
+        self.note(|all| all.stages.matches = Some(MatchReport { seconds, ..report }))?;
+        database.write_stage_rows(&self.records.rows())?;
+        database.close()?;
+        emit(watch, &Event::StageDone { stage: Stage::Match, seconds })
     }
 
     /// The fingerprint of a complete stage.
