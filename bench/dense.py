@@ -273,12 +273,12 @@ def run_programs(workspace, scratch, options):
     return found, clouds
 
 
-def street(folder, seed, count, size):
+def street(folder, seed, count, size, rate_hz=4):
     """Photos of a rendered drive; focal length, and views as those of dense_scene."""
     drive = folder.parent / "drive"
-    # Less than 3 m from frame to frame.
-    length = max(60, 2 * count)
-    words = ["--frames", count // 2, "--size", f"{size[0]}x{size[1]}", "--rate", 4]
+    # Less than 12 m a second.
+    length = max(60, 6 * count / rate_hz)
+    words = ["--frames", count // 2, "--size", f"{size[0]}x{size[1]}", "--rate", rate_hz]
     words += ["--length", length]
     tiepoint(
         "synth", "-o", drive, "--mounting", "right", "--route", "open", "--seed", seed, "--depths",
@@ -350,7 +350,8 @@ def large_case(name, scratch, options):
 
 def drive_case(name, scratch, options):
     photos, workspace = scratch / "photos", scratch / "ws"
-    street(photos, options.seed, DRIVES[name], DRIVE_SIZE)
+    # Frames so near to each other that all images of this size are registered.
+    street(photos, options.seed, DRIVES[name], DRIVE_SIZE, rate_hz=10)
     words = ["--pairs", "sequential:5", "--threads", options.threads]
     tiepoint("reconstruct", photos, "-o", workspace, *words)
     options = argparse.Namespace(**{**vars(options), "openmvs": None})

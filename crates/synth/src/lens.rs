@@ -11,13 +11,15 @@
 //! THIN_PRISM_FISHEYE has decentring on that plane: an estimator is left with a residual, as with a
 //! real lens.
 
-use tiepoint_geometry::nalgebra::{Matrix2, Vector2, Vector3};
+use tiepoint_geometry::nalgebra::{Matrix2, SMatrix, SVector, Vector2, Vector3};
 use tiepoint_geometry::{CameraModelKind, Intrinsics, Rng};
 
 /// Step at which the Newton iterations end (in radians, or units of the fisheye plane), and the
 /// most iterations.
 const NEWTON_TOLERANCE: f64 = 1e-14;
 const NEWTON_ITERATIONS: usize = 30;
+/// Number of pixels in a row and in a column to which the nearest intrinsics are fitted.
+const GRID: usize = 40;
 
 /// The lens of an action camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -191,6 +193,47 @@ impl Lens {
         Intrinsics::new(CameraModelKind::Pinhole, &[focal, focal, centre.x, centre.y])
             .expect("a lens has a finite, positive focal length")
     }
+
+    /// The nearest intrinsics that COLMAP has, for images of a size in pixels: those of the pinhole
+    /// are exact; for the action lens the distortion of THIN_PRISM_FISHEYE with the same focal
+    /// length and principal point, which differs least in squared pixels on a grid over the image.
+    pub fn nearest_intrinsics(&self, width: u32, height: u32) -> Intrinsics {
+        if matches!(self, Self::Pinhole { .. }) {
+            return self.paraxial_intrinsics();
+        }
+        let (f, c) = (self.focal_px(), self.principal_point());
+        let at = |index: usize, size: u32| (index as f64 + 0.5) / GRID as f64 * f64::from(size);
+        let pixels =
+            (0..GRID * GRID).map(|i| Vector2::new(at(i % GRID, width), at(i / GRID, height)));
+        // The distortion is linear in its coefficients: J k = d, with normal equations.
+        let mut normal = SMatrix::<f64, 8, 8>::zeros();
+        let mut right = SVector::<f64, 8>::zeros();
+        for pixel in pixels {
+            let Some(ray) = self.unproject(&pixel) else { continue };
+            let radius = ray.xy().norm();
+            let angle = radius.atan2(ray.z);
+            let w = if radius > 0.0 { ray.xy() * (angle / radius) } else { ray.xy() };
+            let (u, v, rho2) = (w.x, w.y, w.norm_squared());
+            let rows = [(u, 2.0 * u * v, rho2 + 2.0 * u * u), (v, rho2 + 2.0 * v * v, 2.0 * u * v)];
+            for (axis, (value, p1, p2)) in rows.into_iter().enumerate() {
+                let radial = [1, 2, 3, 4].map(|power| value * rho2.powi(power));
+                let mut prism = [0.0; 2];
+                prism[axis] = rho2;
+                let row = SVector::<f64, 8>::from([
+                    radial[0], radial[1], p1, p2, radial[2], radial[3], prism[0], prism[1],
+                ]);
+                let off = (pixel[axis] - c[axis]) / f - value;
+                normal += row * row.transpose();
+                right += row * off;
+            }
+        }
+        let distortion =
+            normal.cholesky().map_or_else(SVector::zeros, |factor| factor.solve(&right));
+        let mut params = vec![f, f, c.x, c.y];
+        params.extend(distortion.iter());
+        Intrinsics::new(CameraModelKind::ThinPrismFisheye, &params)
+            .expect("a lens has a finite, positive focal length")
+    }
 }
 
 #[cfg(test)]
@@ -255,5 +298,29 @@ mod tests {
         let edge = |x: f64| lens.unproject(&Vector2::new(x, 750.0)).unwrap();
         let degrees = edge(0.0).angle(&edge(2000.0)).to_degrees();
         assert!((90.0..98.0).contains(&degrees), "{degrees}");
+    }
+
+    /// Largest and mean distance to the action lens over images 400 pixels wide: THIN_PRISM_FISHEYE
+    /// has no even powers of the angle. Of 100 lenses, 0.44 px in a corner, and 0.016 px.
+    const NEAREST_LARGEST_PX: f64 = 0.5;
+    const NEAREST_MEAN_PX: f64 = 0.02;
+
+    #[test]
+    fn nearest_intrinsics_are_near_the_lens() {
+        let (width, height) = (400, 300);
+        let mut errors = Vec::new();
+        for seed in 0..100 {
+            let lens = ActionLens::sample(width, height, &mut Rng::stream(seed, &[]));
+            let lens = Lens::Action(lens);
+            let intrinsics = lens.nearest_intrinsics(width, height);
+            for (x, y) in (0..=40).flat_map(|x| (0..=30).map(move |y| (x, y))) {
+                let pixel = Vector2::new(f64::from(x), f64::from(y)) * 10.0;
+                let ray = lens.unproject(&pixel).unwrap();
+                errors.push((intrinsics.project(&ray).unwrap() - pixel).norm());
+            }
+        }
+        let mean = errors.iter().sum::<f64>() / errors.len() as f64;
+        let largest = errors.into_iter().fold(0.0, f64::max);
+        assert!(mean < NEAREST_MEAN_PX && largest < NEAREST_LARGEST_PX, "{mean} {largest} px");
     }
 }

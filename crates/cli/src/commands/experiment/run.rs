@@ -9,10 +9,12 @@ use serde::{Deserialize, Serialize};
 use tiepoint_pipeline::eval::Cloud;
 use tiepoint_pipeline::eval::geometry::Sim3;
 use tiepoint_pipeline::eval::geometry::nalgebra::{Quaternion, UnitQuaternion, Vector3};
+use tiepoint_pipeline::io::colmap::Format;
+use tiepoint_pipeline::sfm::scene::CameraId;
 use tiepoint_pipeline::sfm::{MapperOptions, Readout, RigTerm};
 use tiepoint_pipeline::{
     Error, FeatureOptions, InputModel, MapOptions, MatchOptions, Options, RegisteredCloud, Report,
-    RigCamera, Workspace, map, reconstruct,
+    RigCamera, Workspace, map, reconstruct, write_model,
 };
 use tiepoint_synth::Drive;
 
@@ -29,6 +31,8 @@ use crate::progress::Progress;
 pub(super) const MIN_FRAMES: usize = 3;
 /// File of the errors in the workspace.
 const EVALUATION_FILE: &str = "judged.json";
+/// Folder with the model of the true poses and intrinsics.
+const TRUE_CAMERAS: &str = "true-cameras";
 /// Folder in a workspace whose `sparse/0` may hold a model of COLMAP.
 const COLMAP: &str = "colmap";
 
@@ -258,7 +262,15 @@ impl Task<'_> {
     /// Triangulates the matches with the true poses and intrinsics, which are kept.
     fn reconstruct_exact(&self, progress: &mut Progress) -> Result<(), Error> {
         Workspace::open(&self.workspace)?.fork(&self.exact)?;
-        let truth = InputModel { path: self.plan.truth(), fix_existing_frames: true };
+        let folder = self.exact.with_file_name(TRUE_CAMERAS);
+        let mut truth = self.drive.truth();
+        let cameras: Vec<CameraId> = truth.cameras().map(|(id, _)| id).collect();
+        for (id, camera) in cameras.into_iter().zip(self.drive.cameras()) {
+            let (width, height) = (camera.width, camera.height);
+            truth.camera_mut(id).intrinsics = camera.lens.nearest_intrinsics(width, height);
+        }
+        write_model(&folder, &truth, Format::Binary)?;
+        let truth = InputModel { path: folder, fix_existing_frames: true };
         let seed = self.scenery.seed;
         let options = MapOptions {
             mapper: MapperOptions { rig: RigTerm::Off, seed, ..MapperOptions::default() },
