@@ -9,6 +9,12 @@ use super::options::FusionOptions;
 /// Most neighbours of an image: the supporting images of a point are the bits of a word.
 pub const MAX_NEIGHBOURS: usize = 31;
 
+/// A surface is in the cloud if the pixel that gave its point has at most so many times the area of
+/// this one on it: then points of images at all distances are at most twice as many as those of the
+/// nearest, since each set has half of the next one or less. With 1, a point of each image in turn
+/// stands beside the others (2.5 times the points in a made scene).
+const MAX_COVERED_AREA: f64 = 2.0;
+
 /// A point of the fused cloud.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FusedPoint {
@@ -27,8 +33,8 @@ pub struct FusedPoint {
 /// in a fixed order.
 ///
 /// Images are visited in order. A pixel gives a point if enough images agree with it, at the mean
-/// of their depths along its ray, unless an earlier image that sees the surface at least half as
-/// finely has given one there.
+/// of their depths along its ray, unless an earlier image that has at least half as many pixels on
+/// the surface has given one there.
 ///
 /// # Errors
 /// Those of `load` and `take`.
@@ -119,12 +125,12 @@ fn fuse_pixel(
     let point = reference.world_point(&own, own.depth);
     let min_cosine = options.max_normal_error_rad.cos();
     for (slot, (other_index, other)) in others.iter().enumerate() {
-        let Some(Agreement { depth: other_depth, surface, is_covered, footprint }) =
+        let Some(Agreement { depth: other_depth, surface, is_covered, area }) =
             agreement(reference, &own, &point, other, min_cosine, options)
         else {
             continue;
         };
-        if *other_index < index && is_covered && footprint <= 2.0 * own.footprint {
+        if *other_index < index && is_covered && area <= MAX_COVERED_AREA * own.area {
             return Some(Pixel { x: x as u32, point: None });
         }
         views |= 2 << slot;

@@ -11,6 +11,9 @@ use crate::stereo::{DepthMap, normals_of};
 /// Scale of a component of a normal in memory.
 const NORMAL_SCALE: f32 = 32_767.0;
 
+/// Smallest cosine of the angle between a normal and a ray, for pixels without a normal.
+const MIN_COSINE: f64 = 0.1;
+
 /// An image for [`fuse`](super::fuse).
 #[derive(Clone, Debug)]
 pub struct FusionImage {
@@ -34,8 +37,8 @@ pub(super) struct Surface {
     /// Unit normal in the world frame.
     pub(super) normal: Vector3<f64>,
     pub(super) color: [u8; 3],
-    /// Size of a pixel on a frontal surface at this depth.
-    pub(super) footprint: f64,
+    /// Area of the pixel on the surface, in squared units of the model.
+    pub(super) area: f64,
 }
 
 /// What another image sees at a surface.
@@ -44,7 +47,8 @@ pub(super) struct Agreement {
     pub(super) depth: f64,
     pub(super) surface: Surface,
     pub(super) is_covered: bool,
-    pub(super) footprint: f64,
+    /// Area of the pixel of the other image on the surface.
+    pub(super) area: f64,
 }
 
 impl FusionImage {
@@ -79,13 +83,18 @@ impl FusionImage {
         (depth > 0.0).then(|| {
             let normal =
                 self.normals[index].map(|value| f64::from(value) / f64::from(NORMAL_SCALE));
+            let normal = Vector3::from(normal);
+            let ray = self.camera.point(x as f64, y as f64, 1.0);
+            let [fx, fy] = self.camera.focal;
+            // A square of one pixel at this depth, seen at the angle between surface and ray.
+            let frontal = depth * depth / (fx * fy);
             Surface {
                 index,
-                ray: self.camera.point(x as f64, y as f64, 1.0),
+                ray,
                 depth,
-                normal: self.world_from_cam.rotation * Vector3::from(normal),
+                area: frontal / (normal.dot(&ray) / ray.norm()).abs().max(MIN_COSINE),
+                normal: self.world_from_cam.rotation * normal,
                 color: std::array::from_fn(|channel| self.colors[3 * index + channel]),
-                footprint: depth / (0.5 * (self.camera.focal[0] + self.camera.focal[1])),
             }
         })
     }
@@ -136,6 +145,6 @@ pub(super) fn agreement(
     if (seen - own_place).norm() > options.max_error_px {
         return None;
     }
-    let (is_covered, footprint) = (other.is_covered(surface.index), surface.footprint);
-    Some(Agreement { depth: back.z, surface, is_covered, footprint })
+    let (is_covered, area) = (other.is_covered(surface.index), surface.area);
+    Some(Agreement { depth: back.z, surface, is_covered, area })
 }
