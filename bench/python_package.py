@@ -26,8 +26,8 @@ from pathlib import Path
 
 from program import program_of
 
-# What holds times or names of folders.
-TIMED = {"report.json", "state.json"}
+# What holds times, and what holds a hash of that.
+TIMED = {"report.json", ".tiepoint.json"}
 
 RECONSTRUCT = """
 import sys, tiepoint

@@ -13,5 +13,5 @@ with tempfile.TemporaryDirectory() as folder:
     model = tiepoint.Reconstruction.read(folder / "ws")
     assert len(model.image_names) == report["models"][0]["registered"] > 8, report["models"]
     assert len(model.points) > 100
-    tiepoint.export(folder / "ws", to="las", output=folder / "points.las")
+    tiepoint.export(folder / "ws", to="ply", output=folder / "points.ply")
     print(tiepoint.__version__, len(model.image_names), "images", len(model.points), "points")
