@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """The Python package beside the program and pycolmap: bytes, time, import, other threads.
 
-    python/check --wheel, or a wheel of the workflow `release`, installed into an environment
+    release/wheel                               and its wheel, installed into an environment
     pip install pycolmap==4.2.1
     cargo build --release -p tiepoint --features las
     TIEPOINT_DATA=... python bench/python_package.py --python ENVIRONMENT/bin/python [--runs 3]
