@@ -137,7 +137,9 @@ def main():
             medians = {name: statistics.median(r[key] for r in runs[name]) for name in runs}
             found[f"package_over_program_{key}"] = medians["package"] / medians["program"]
         if "pycolmap" not in arguments.without:
-            command = [sys.executable, "-c", PYCOLMAP, photos, scratch / "db.db", scratch / "models"]
+            names = [scratch / "db.db", scratch / "models"]
+            names[1].mkdir()
+            command = [sys.executable, "-c", PYCOLMAP, photos, *names]
             found["pycolmap"], registered = timed(command)
             found["pycolmap"]["registered"] = int(registered.split()[-1])
         if "threads" not in arguments.without:
