@@ -4,7 +4,7 @@
 #
 #   bench/fuzz.sh [SECONDS] [TARGET ...]
 set -uo pipefail
-cd "$(dirname "$0")/.."
+cd "$(dirname "$0")/.." || exit
 seconds=${1:-60}
 shift || true
 targets=("$@")
