@@ -5,13 +5,14 @@
 //! camera that looks to the front, right, rear and left in turn. Experiment II (`baseline`): two
 //! cameras that look to the right, reconstructed with and without a rig constraint. As in the
 //! paper, the error is the distance of the dense cloud to a laser scan after registration; a camera
-//! that looks to one side is compared with the scan of that side. The tables also have the distances
-//! of the sparse cloud, those with the true cameras, and trajectory errors.
+//! that looks to one side is compared with the scan of that side. The tables also have the
+//! distances of the sparse cloud, those with the true cameras, and trajectory errors.
 //!
 //! Each drive and each reconstruction has a folder of its own. Complete ones are not computed
 //! again.
 
 mod dense_cloud;
+mod distance;
 mod drive;
 mod run;
 mod side;

@@ -10,7 +10,7 @@ use tiepoint_pipeline::{
     CameraError, CloudError, DenseOptions, Error, Workspace, dense, read_cloud, register_cloud,
 };
 
-use super::run::Distance;
+use super::distance::Distance;
 use crate::commands::drive_evaluation::MAX_CLOUD_RANGE_M;
 use crate::progress::Progress;
 
@@ -117,7 +117,7 @@ impl DenseCloud {
 mod tests {
     use super::*;
 
-    /// A wall 5 m beside a drive of 20 m, and a cloud of it that is off by 0.1 m in its second half.
+    /// A wall 5 m beside a drive of 20 m, and a cloud of it that is 0.1 m off in its second half.
     #[test]
     fn errors_are_where_they_are_made() {
         let wall = |off: &dyn Fn(f64) -> f64| -> Vec<Vector3<f64>> {

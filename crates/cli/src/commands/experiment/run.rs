@@ -13,12 +13,13 @@ use tiepoint_pipeline::io::colmap::Format;
 use tiepoint_pipeline::sfm::scene::CameraId;
 use tiepoint_pipeline::sfm::{MapperOptions, Readout, RigTerm};
 use tiepoint_pipeline::{
-    Error, FeatureOptions, InputModel, MapOptions, MatchOptions, Options, RegisteredCloud, Report,
-    RigCamera, Workspace, map, reconstruct, write_model,
+    Error, FeatureOptions, InputModel, MapOptions, MatchOptions, Options, Report, RigCamera,
+    Workspace, map, reconstruct, write_model,
 };
 use tiepoint_synth::Drive;
 
 use super::dense_cloud::{Comparison, DenseCloud, evaluate_dense};
+use super::distance::Distance;
 use super::drive::{calibration, render_once, write};
 use super::side::Side;
 use crate::args::{Scenery, rig_name};
@@ -104,19 +105,6 @@ pub(super) struct Measurements {
     pub(super) seconds: f64,
     /// Scale, rotation quaternion (w first) and translation.
     pub(super) world_from_model: [f64; 8],
-}
-
-/// Mean and standard deviation of point distances.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub(super) struct Distance {
-    pub(super) mean_m: f64,
-    pub(super) std_m: f64,
-}
-
-impl From<&RegisteredCloud> for Distance {
-    fn from(cloud: &RegisteredCloud) -> Self {
-        Self { mean_m: cloud.distance.mean, std_m: cloud.distance.std }
-    }
 }
 
 /// The laser scan of the street, computed when it is first needed.

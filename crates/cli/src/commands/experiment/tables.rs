@@ -180,7 +180,7 @@ fn table(caption: &str, row_heading: &str, runs: &[Run], columns: &[Column]) -> 
 #[cfg(test)]
 mod tests {
     use super::super::dense_cloud::DenseCloud;
-    use super::super::run::Distance;
+    use super::super::distance::Distance;
     use super::*;
 
     fn of_dense(mean_m: f64, std_m: f64) -> DenseCloud {
