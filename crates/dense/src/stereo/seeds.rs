@@ -26,7 +26,7 @@ pub struct InverseDepthRange {
 
 impl InverseDepthRange {
     /// The range of the seeds without the most extreme hundredth on both sides, which may be wrong
-    /// matches, and widened by half to the far and by [`NEARER`] to the near side: surfaces lie
+    /// matches, and widened by half to the far and four times to the near side: surfaces lie
     /// between and beyond the seeds. `None` without seeds.
     pub fn of(seeds: &[Seed]) -> Option<Self> {
         let mut all: Vec<f32> = seeds.iter().map(|seed| seed.inverse_depth).collect();
