@@ -61,8 +61,8 @@ pub fn evaluate_cloud(
     alignment: Alignment,
 ) -> Option<CloudEvaluation> {
     let reference = Cloud::new(finite(reference))?;
-    let mut cloud = register_cloud(cloud, &reference, start, alignment)?;
-    let back = Cloud::new(std::mem::take(&mut cloud.registered))?.distances_of(reference.points());
+    let cloud = register_cloud(cloud, &reference, start, alignment)?;
+    let back = Cloud::new(cloud.registered.clone())?.distances_of(reference.points());
     Some(CloudEvaluation { cloud, reference_distance: Statistics::of(&back)?.into() })
 }
 

@@ -147,7 +147,9 @@ impl Task<'_> {
         let measured = match kept {
             Some(kept) => kept,
             None => {
-                let measured = Measurements::new(None, self.evaluate_drive(&folder, side, scan)??);
+                let scan = scan.on_side(self.drive, side)?;
+                let judged = self.evaluate_drive(&folder, side, scan.as_ref())?;
+                let measured = Measurements::new(None, judged);
                 write(&path, &json(&measured))?;
                 measured
             }
@@ -180,13 +182,13 @@ impl Task<'_> {
             colmap: None,
         };
         let report = self.reconstruct(progress);
-        let run = match report
-            .and_then(|report| Ok((report, self.evaluate_drive(&self.workspace, side, scan)?)))
-        {
+        let scan = if report.is_ok() { scan.on_side(self.drive, side)? } else { None };
+        let run = match report.and_then(|report| {
+            Ok((report, self.evaluate_drive(&self.workspace, side, scan.as_ref())?))
+        }) {
             Ok((report, judged)) => {
-                let judged = judged?;
-                let clouds = self.dense_clouds(&judged, side, scan, progress)?;
-                let [dense, exact_dense] = clouds;
+                let [dense, exact_dense] =
+                    self.dense_clouds(&judged, side, scan.as_ref(), progress)?;
                 let measured = Measurements::new(Some(&report), judged);
                 Run { result: Some(Measurements { dense, exact_dense, ..measured }), ..run }
             }
@@ -202,20 +204,13 @@ impl Task<'_> {
         Ok(run)
     }
 
-    /// The outer error may be a result of the experiment; the inner one aborts it.
     fn evaluate_drive(
         &self,
         model: &Path,
         side: &Side,
-        scan: &Scan,
-    ) -> Result<Result<DriveEvaluation, Failure>, Error> {
-        let reference = match scan.on_side(self.drive, side) {
-            Ok(reference) => reference,
-            Err(failure) => return Ok(Err(failure)),
-        };
-        let truth = self.plan.truth();
-        evaluate_drive(model, self.drive, &truth, reference.as_ref(), |point| side.contains(point))
-            .map(Ok)
+        scan: Option<&Cloud>,
+    ) -> Result<DriveEvaluation, Error> {
+        evaluate_drive(model, self.drive, &self.plan.truth(), scan, |point| side.contains(point))
     }
 
     /// The dense clouds of the workspace and of the true poses and intrinsics.
@@ -223,12 +218,12 @@ impl Task<'_> {
         &self,
         judged: &DriveEvaluation,
         side: &Side,
-        scan: &Scan,
+        scan: Option<&Cloud>,
         progress: &mut Progress,
     ) -> Result<[Option<DenseCloud>; 2], Failure> {
-        let Some(scan) = scan.on_side(self.drive, side)? else { return Ok([None, None]) };
+        let Some(scan) = scan else { return Ok([None, None]) };
         let mut comparison = Comparison {
-            scan: &scan,
+            scan,
             world_from_model: judged.poses.truth_from_model,
             cameras: &judged.camera_errors,
             has_true_poses: false,
