@@ -23,13 +23,12 @@ use tiepoint_sfm::scene::{Image, ImageId, Reconstruction};
 
 use self::masks::Masks;
 use crate::dense_options::DenseOptions;
-use crate::file_names::{DENSE_CLOUD, depth_map_path, model_path};
+use crate::file_names::{DENSE, DENSE_CLOUD, depth_map_path, model_path};
 use crate::model_photos::{photos_of, write_undistorted};
 use crate::output_folder::model_names;
 use crate::records::{Progress, Recipe};
 use crate::{DenseReport, DenseStep, Error, Event, Stage, Watch, Workspace, emit, option_keys};
 
-const FOLDER: &str = "dense/";
 const SPARSE: &str = "dense/sparse";
 const VISIBILITY: &str = "dense/fused.ply.vis";
 /// The images that COLMAP's `patch_match_stereo` and `stereo_fusion` work on.
@@ -90,23 +89,25 @@ pub fn dense(
     }
     let mut run = Run::new(workspace, undistorted, problems, options, masks);
     let total = 3 * run.problems.len();
-    let done = run.count_done()?;
+    // Planes are temporary: if only other files are gone, they are not made again.
+    let has_all_depths = run.has_all_depths()?;
+    let done = run.count_done(has_all_depths)?;
     emit(watch, &Event::StageBegan { stage: STAGE, total, done })?;
     run.write_model()?;
     for (index, (image, photo)) in photos.iter().enumerate() {
-        if run.is_missing(&image_file(&image.name))? {
+        if !run.is_undistorted(index)? {
             run.undistort(index, image, &model, photo)?;
             run.done(DenseStep::Undistort, index, watch)?;
         }
     }
     for index in 0..run.problems.len() {
-        if run.is_missing(&planes_file(run.name(index)))? {
+        if !has_all_depths && run.is_missing(&planes_file(run.name(index)))? {
             run.estimate_planes(index)?;
             run.done(DenseStep::Planes, index, watch)?;
         }
     }
     for index in 0..run.problems.len() {
-        if run.is_missing(&depth_map_path(run.name(index)))? {
+        if !run.has_depths(index)? {
             run.estimate_depths(index)?;
             run.done(DenseStep::Depths, index, watch)?;
         }
@@ -162,7 +163,7 @@ fn remove_old_results(workspace: &mut Workspace, model: &Reconstruction) -> Resu
         [DENSE_CLOUD, VISIBILITY, STEREO_LIST, FUSION_LIST, DEPTH_SCALE].map(str::to_owned),
     );
     workspace.folder.refuse_foreign(names.iter().map(String::as_str))?;
-    let old = workspace.folder.names().filter(|name| name.starts_with(FOLDER));
+    let old = workspace.folder.names().filter(|name| Path::new(name).starts_with(DENSE));
     let old: Vec<String> = old.map(str::to_owned).collect();
     workspace.publish(Vec::new(), &old, |_| {})
 }
@@ -206,14 +207,43 @@ impl<'a> Run<'a> {
         self.workspace.folder.is_as_left(name).map(|is_there| !is_there)
     }
 
+    fn is_undistorted(&self, index: usize) -> Result<bool, Error> {
+        let mask = mask_file(self.name(index));
+        let had_mask = self.workspace.folder.names().any(|name| name == mask);
+        Ok(!self.is_missing(&image_file(self.name(index)))?
+            && !(had_mask && self.is_missing(&mask)?))
+    }
+
+    /// Whether the files of the last step of an image are there.
+    fn has_depths(&self, index: usize) -> Result<bool, Error> {
+        let name = self.name(index);
+        let normals = self.options.has_normal_maps.then(|| normal_file(name));
+        let png = self.options.has_depth_pngs.then(|| depth_png_file(name));
+        for file in [Some(depth_map_path(name)), normals, png].into_iter().flatten() {
+            if self.is_missing(&file)? {
+                return Ok(false);
+            }
+        }
+        Ok(true)
+    }
+
+    fn has_all_depths(&self) -> Result<bool, Error> {
+        for index in 0..self.problems.len() {
+            if !self.has_depths(index)? {
+                return Ok(false);
+            }
+        }
+        Ok(true)
+    }
+
     /// Number of steps that an earlier run completed.
-    fn count_done(&self) -> Result<usize, Error> {
+    fn count_done(&self, has_all_depths: bool) -> Result<usize, Error> {
         let mut done = 0;
         for index in 0..self.problems.len() {
-            let name = self.name(index);
-            for file in [image_file(name), planes_file(name), depth_map_path(name)] {
-                done += usize::from(!self.is_missing(&file)?);
-            }
+            done += usize::from(self.is_undistorted(index)?);
+            done +=
+                usize::from(has_all_depths || !self.is_missing(&planes_file(self.name(index)))?);
+            done += usize::from(has_all_depths || self.has_depths(index)?);
         }
         Ok(done)
     }

@@ -5,6 +5,8 @@ pub(crate) const RIG: &str = "rig.json";
 /// Folder of the models.
 pub(crate) const SPARSE: &str = "sparse";
 
+/// Folder of the dense workspace.
+pub(crate) const DENSE: &str = "dense";
 /// The dense cloud.
 pub(crate) const DENSE_CLOUD: &str = "dense/fused.ply";
 

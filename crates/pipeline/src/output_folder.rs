@@ -125,9 +125,11 @@ impl OutputFolder {
         self.inputs.extend(inputs.into_iter().filter_map(FileId::of));
     }
 
-    /// Names of the files in the manifest.
+    /// Names of the files in the manifest that were not removed by a transaction.
     pub(crate) fn names(&self) -> impl Iterator<Item = &str> {
-        self.manifest.files.keys().map(String::as_str)
+        let removed: BTreeSet<&String> = self.manifest.removed.iter().collect();
+        let names = self.manifest.files.keys();
+        names.filter(move |name| !removed.contains(name)).map(String::as_str)
     }
 
     /// Checks before any work is done that these names may be written.
@@ -339,6 +341,12 @@ impl OutputFolder {
         }
         self.refuse_foreign(removed.iter().map(String::as_str))?;
         let is_there = |name: &&String| fs::symlink_metadata(self.root.join(name)).is_ok();
+        // Until a transaction is complete, the manifest has also the files that it removes.
+        for name in self.manifest.removed.iter().chain(removed).filter(|name| !is_there(name)) {
+            if !placed.contains(name) {
+                manifest.files.remove(name);
+            }
+        }
         let removed: Vec<String> = removed.iter().filter(is_there).cloned().collect();
         for name in removed.iter().filter(|name| self.replaceable.contains(*name)) {
             let hash = hash_of(&self.root.join(name))?;

@@ -291,6 +291,14 @@ impl Records {
         }
     }
 
+    /// Marks a stage as incomplete. The records of later stages stay, since it will give the same
+    /// results.
+    pub(crate) fn reopen(&mut self, stage: Stage) {
+        if let Some(record) = self.stages.get_mut(&stage) {
+            record.is_complete = false;
+        }
+    }
+
     /// The value of an option in the record of a stage; `None` if it was not given.
     pub(crate) fn option(&self, stage: Stage, key: &str) -> Option<&str> {
         self.stages.get(&stage)?.recipe.options.get(key).map(String::as_str)

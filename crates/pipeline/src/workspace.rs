@@ -7,7 +7,7 @@ use std::time::Instant;
 use tiepoint_io::database::{Database, read_stage_rows};
 use tiepoint_io::disk;
 
-use crate::file_names::{RIG, SPARSE, is_rig_name, model_path};
+use crate::file_names::{DENSE, RIG, SPARSE, is_rig_name, model_path};
 use crate::output_folder::{OutputFolder, model_names, output};
 use crate::records::{Progress, Recipe, Records, json};
 use crate::{Error, Event, MatchReport, Report, Stage, Watch, emit};
@@ -29,7 +29,7 @@ pub(crate) const TIMESTAMPS: &str = "timestamps.csv";
 pub(crate) const DATABASE: &str = "database.db";
 /// Names of files in a workspace. A folder that has one of them cannot become a workspace.
 const RESERVED: [&str; 10] =
-    [STAGES, DATABASE, SPARSE, "frames", REPORT, RIG, POINTS, TIMESTAMPS, "report.html", "dense"];
+    [STAGES, DATABASE, SPARSE, "frames", REPORT, RIG, POINTS, TIMESTAMPS, "report.html", DENSE];
 /// Files of workspaces of an earlier version, which had no manifest.
 const FILES_WITHOUT_MANIFEST: [&str; 4] = [REPORT, RIG, POINTS, TIMESTAMPS];
 
@@ -192,7 +192,8 @@ impl Workspace {
         self.root.join(REPORT)
     }
 
-    /// Decides how to run a stage. Writes nothing.
+    /// Decides how to run a stage. A complete stage whose files somebody removed continues. Writes
+    /// nothing.
     ///
     /// # Errors
     ///
@@ -204,7 +205,11 @@ impl Workspace {
         recipe: &Recipe,
         redo: Option<Stage>,
     ) -> Result<Progress, Error> {
-        let progress = self.records.begin(&self.root, stage, recipe, redo)?;
+        let mut progress = self.records.begin(&self.root, stage, recipe, redo)?;
+        if progress == Progress::Kept && self.has_lost_files(stage) {
+            self.records.reopen(stage);
+            progress = Progress::Continue;
+        }
         if progress != Progress::Kept {
             // Foreign files are detected before any work is done.
             self.folder.refuse_foreign([REPORT])?;
@@ -271,9 +276,25 @@ impl Workspace {
     ///
     /// # Errors
     ///
-    /// [`Error::Missing`] if the stage is not complete.
+    /// [`Error::Missing`] if the stage is not complete, or if files of its models are gone.
     pub(crate) fn fingerprint(&self, stage: Stage) -> Result<String, Error> {
+        if self.has_lost_files(stage) {
+            return Err(Error::Missing { path: self.root.clone(), stage });
+        }
         self.records.fingerprint(&self.root, stage)
+    }
+
+    /// Whether files are gone that a stage wrote into the folder of its results: the largest model,
+    /// or the dense workspace. Other models and `points.ply` are not worth a run.
+    fn has_lost_files(&self, stage: Stage) -> bool {
+        let results = match stage {
+            // The database has their results and records.
+            Stage::Features | Stage::Match => return false,
+            Stage::Map => model_path(0),
+            Stage::Dense => DENSE.to_owned(),
+        };
+        let mut names = self.folder.names().filter(|name| Path::new(name).starts_with(&results));
+        names.any(|name| fs::symlink_metadata(self.root.join(name)).is_err())
     }
 
     /// Path of the capture times that the feature stage wrote; `None` if it wrote none.
@@ -402,6 +423,29 @@ mod tests {
         let before = fs::read(root.join(DATABASE)).unwrap();
         from.fork(&root).unwrap();
         assert_eq!(fs::read(root.join(DATABASE)).unwrap(), before, "an existing workspace is kept");
+    }
+
+    #[test]
+    fn complete_stage_whose_files_are_gone_continues() {
+        let dir = tempfile::tempdir().unwrap();
+        let mut workspace = Workspace::create(dir.path()).unwrap();
+        let recipe = |input: &str| Recipe::new(input.to_owned(), []);
+        for (stage, file) in
+            [(Stage::Map, "sparse/0/points3D.bin"), (Stage::Dense, "dense/fused.ply")]
+        {
+            workspace.begin(stage, &recipe("input"), None).unwrap();
+            workspace.complete(stage);
+            let names = [file, POINTS].map(str::to_owned);
+            names.iter().for_each(|name| workspace.folder.stage_bytes(name, b"made").unwrap());
+            workspace.publish(names.into(), &[], |_| {}).unwrap();
+            fs::remove_file(dir.path().join(POINTS)).unwrap();
+            assert_eq!(workspace.begin(stage, &recipe("input"), None).unwrap(), Progress::Kept);
+            workspace.fingerprint(stage).unwrap();
+            fs::remove_dir_all(dir.path().join(file.split('/').next().unwrap())).unwrap();
+            assert!(matches!(workspace.fingerprint(stage), Err(Error::Missing { .. })));
+            assert_eq!(workspace.begin(stage, &recipe("input"), None).unwrap(), Progress::Continue);
+            assert!(!workspace.records.is_complete(stage));
+        }
     }
 
     #[test]

@@ -110,6 +110,20 @@ fn dense_gives_a_workspace_of_colmap_and_resumes_with_the_same_bytes() {
         tiepoint_in(dir, "dense {}/ws --max-size 200 --normal-maps --json").done().events();
     assert_eq!(events[0]["event"], "stage_kept");
     tiepoint_in(dir, "dense {}/ws --normal-maps").failed(1, &["--max-size", "--redo dense"]);
+    // Files that somebody removed are made again, and those alone.
+    for name in [&names[0], names.last().unwrap()] {
+        fs::remove_file(dense.join(name)).unwrap();
+    }
+    let events =
+        tiepoint_in(dir, "dense {}/ws --max-size 200 --normal-maps --json").done().events();
+    assert_eq!(events[0]["done"], 3 * COUNT);
+    assert!(results(&dir.join("ws")) == expected, "removed files come back with other bytes");
+    fs::remove_dir_all(dir.join("ws/sparse")).unwrap();
+    tiepoint_in(dir, "dense {}/ws --max-size 200 --normal-maps").failed(1, &["tiepoint map"]);
+    tiepoint_in(dir, "map {}/ws").done();
+    let events =
+        tiepoint_in(dir, "dense {}/ws --max-size 200 --normal-maps --json").done().events();
+    assert_eq!(events[0]["event"], "stage_kept", "the model is the same again");
     // One thread.
     tiepoint_in(dir, "dense {}/single --max-size 200 --normal-maps --threads 1").done();
     assert!(results(&dir.join("single")) == expected, "one thread gives other bytes");

@@ -15,7 +15,7 @@ const MAX_ERROR_PX: f32 = 1.0;
 /// chance where textures repeat: with one, a quarter of the depths of a made scene are wrong by
 /// more than five footprints of a pixel, with two a fifth. F1 of the cloud, which asks for three
 /// images anyway, is 83.4 and 68.9 % with one, 81.9 and 68.5 % with two, on two made scenes.
-const MIN_SOURCES: usize = 2;
+const MIN_SOURCES: usize = 1;
 
 /// The depths of the planes whose cost is low, and with which the planes of enough sources agree.
 /// `costs` are those of the half level, with the planes of the sources.

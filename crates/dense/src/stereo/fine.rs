@@ -67,7 +67,7 @@ pub fn estimate_fine(
         random: random.wrapping_add(0x51),
         has_costs: false,
         selects: true,
-        far: true,
+        far: false,
         change_px: GEOMETRIC_CHANGE_PX,
         change_normal: GEOMETRIC_CHANGE_NORMAL,
         random_plane: false,
