@@ -20,6 +20,11 @@ pub(crate) fn stays_valid(before: f64, after: f64) -> bool {
 /// Stands for all variables in place of the position of one.
 const ALL_VARIABLES: usize = usize::MAX;
 
+/// Variables with at most so many degrees of freedom, such as points, have loops of their own when
+/// they are linearised alone: derivatives by the other variables are then never computed. Each loop
+/// is compiled for each type of factor; eliminated poses are rare.
+const MAX_DOF_ALONE: usize = 3;
+
 /// Factors are prefetched so many iterations ahead, because those of a landmark may be anywhere in
 /// memory.
 const PREFETCH_DISTANCE: usize = 16;
@@ -94,8 +99,7 @@ impl<F: Factor<R>, const R: usize> FactorGroup<F, R> {
 
     /// Linearises with respect to the variable at position `I`, or to [`ALL_VARIABLES`].
     ///
-    /// `Factor::linearize` should be inlined: derivatives by the other variables are then never
-    /// computed.
+    /// `Factor::linearize` should be inlined.
     #[inline(always)]
     fn linearize_here<const I: usize>(&self, values: &Values, factors: &[u32], out: Rows<'_>) {
         let slices = F::Vars::slices(&ValuesRef(values), &self.stores);
@@ -136,9 +140,6 @@ impl<F: Factor<R>, const R: usize> FactorGroup<F, R> {
     }
 
     fn linearize_by<const I: usize>(&self, values: &Values, factors: &[u32], out: Rows<'_>) {
-        if I != ALL_VARIABLES && I >= F::Vars::COUNT {
-            return;
-        }
         #[cfg(target_arch = "x86_64")]
         if std::arch::is_x86_feature_detected!("avx2") {
             // SAFETY: the processor feature was just detected.
@@ -146,6 +147,15 @@ impl<F: Factor<R>, const R: usize> FactorGroup<F, R> {
             return;
         }
         self.linearize_here::<I>(values, factors, out);
+    }
+
+    fn linearize_alone<const I: usize>(&self, values: &Values, factors: &[u32], out: Rows<'_>) {
+        // A constant, so that the loop is not compiled where it is not called.
+        if const { I < F::Vars::COUNT && F::Vars::DOFS[I] <= MAX_DOF_ALONE } {
+            self.linearize_by::<I>(values, factors, out);
+        } else {
+            linearize_block(self, I, values, factors, out);
+        }
     }
 
     #[inline(always)]
@@ -214,6 +224,25 @@ pub(crate) trait AnyFactorGroup: Any + Send + Sync {
     fn find_not_finite(&self, values: &Values) -> Option<(usize, &'static str, f64)>;
 }
 
+/// [`AnyFactorGroup::linearize_landmark`] by the rows of all variables.
+fn linearize_block(
+    group: &dyn AnyFactorGroup,
+    position: usize,
+    values: &Values,
+    factors: &[u32],
+    out: Rows<'_>,
+) {
+    let (dofs, stride) = (group.dofs(), group.stride());
+    let (start, total) = (total_dof(&dofs[..position]), total_dof(dofs));
+    let block = start..start + dofs[position];
+    let mut all = vec![0.0; out.costs.len() * group.rows() * stride];
+    group.linearize(values, factors, Rows { rows: &mut all, costs: out.costs });
+    for (row, to) in all.chunks_exact(stride).zip(out.rows.chunks_exact_mut(block.len() + 1)) {
+        to[..block.len()].copy_from_slice(&row[block.clone()]);
+        to[block.len()] = row[total];
+    }
+}
+
 /// The cost ½ρ of a squared norm, and √ρ' as the weight of iteratively reweighted least squares:
 /// ½ρ'|r + Jδ|² has the gradient of ½ρ and, for ρ'' ≤ 0, is an upper bound.
 #[inline(always)]
@@ -267,14 +296,14 @@ impl<F: Factor<R>, const R: usize> AnyFactorGroup for FactorGroup<F, R> {
 
     fn linearize_landmark(&self, position: u8, values: &Values, factors: &[u32], out: Rows<'_>) {
         match position {
-            0 => self.linearize_by::<0>(values, factors, out),
-            1 => self.linearize_by::<1>(values, factors, out),
-            2 => self.linearize_by::<2>(values, factors, out),
-            3 => self.linearize_by::<3>(values, factors, out),
-            4 => self.linearize_by::<4>(values, factors, out),
-            5 => self.linearize_by::<5>(values, factors, out),
-            6 => self.linearize_by::<6>(values, factors, out),
-            _ => self.linearize_by::<7>(values, factors, out),
+            0 => self.linearize_alone::<0>(values, factors, out),
+            1 => self.linearize_alone::<1>(values, factors, out),
+            2 => self.linearize_alone::<2>(values, factors, out),
+            3 => self.linearize_alone::<3>(values, factors, out),
+            4 => self.linearize_alone::<4>(values, factors, out),
+            5 => self.linearize_alone::<5>(values, factors, out),
+            6 => self.linearize_alone::<6>(values, factors, out),
+            _ => self.linearize_alone::<7>(values, factors, out),
         }
     }
 
@@ -311,5 +340,45 @@ impl<F: Factor<R>, const R: usize> AnyFactorGroup for FactorGroup<F, R> {
             }
         }
         None
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{Vector2, Vector3};
+    use tiepoint_geometry::Rigid3;
+    use tiepoint_geometry::cameras::SimplePinhole;
+
+    use super::*;
+    use crate::factors::Reprojection;
+    use crate::{Order, Problem};
+
+    #[test]
+    fn variable_alone_has_its_columns_of_all() {
+        let mut problem = Problem::new();
+        let intrinsics = problem.add_parameter(Vector3::new(600.0, 320.0, 240.0), Order::Shared);
+        let pose = problem.add_landmark(Rigid3::identity());
+        // The last one is behind the camera.
+        for z in [5.0, 7.0, -5.0] {
+            let point = problem.add_landmark(Vector3::new(1.0, 0.5, z));
+            let factor = Reprojection::<SimplePinhole>::new(Vector2::new(330.0, 240.0), 2.0);
+            problem.add((intrinsics, pose, point), factor, Loss::Cauchy(1.0)).unwrap();
+        }
+        let (group, factors) = (&*problem.factor_groups[0], [2, 0, 1]);
+        let (count, stride) = (factors.len() * group.rows(), group.stride());
+        let (mut all, mut all_costs) = (vec![f64::NAN; count * stride], [0.0; 3]);
+        group.linearize(&problem.values, &factors, Rows { rows: &mut all, costs: &mut all_costs });
+        assert!(all_costs[0].is_nan() && all_costs[1] > 0.0 && all_costs[2] > 0.0);
+        let total = total_dof(group.dofs());
+        for (position, &dof) in group.dofs().iter().enumerate() {
+            let start = total_dof(&group.dofs()[..position]);
+            let (mut alone, mut costs) = (vec![f64::NAN; count * (dof + 1)], [0.0; 3]);
+            let out = Rows { rows: &mut alone, costs: &mut costs };
+            group.linearize_landmark(position as u8, &problem.values, &factors, out);
+            assert_eq!(costs.map(f64::to_bits), all_costs.map(f64::to_bits));
+            for (row, all) in alone.chunks_exact(dof + 1).zip(all.chunks_exact(stride)) {
+                assert_eq!((&row[..dof], row[dof]), (&all[start..][..dof], all[total]));
+            }
+        }
     }
 }

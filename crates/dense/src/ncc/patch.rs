@@ -15,7 +15,7 @@ const OFFSETS: [[i32; 2]; SAMPLES] = offsets();
 const SPATIAL_SIGMA: f64 = 3.0;
 /// Standard deviation of the bilateral weights in grey levels: 0.2 of the range, as in
 /// Schönberger 2016.
-const GREY_SIGMA: f64 = 0.2 * 255.0;
+const GREY_SIGMA: f64 = 0.05 * 255.0;
 /// Largest offset.
 pub(crate) const RADIUS: usize = 3;
 
