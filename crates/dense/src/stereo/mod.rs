@@ -6,9 +6,6 @@
 //! [`estimate_fine`] makes them consistent with those of the neighbours and refines them at full
 //! resolution.
 
-// The F1 of the street in the comments of constants, but for `NEARER`, was measured with wrong
-// poses of the second camera, which were off by some 9 pixels. That of the room is right.
-
 mod coarse;
 mod cost;
 mod field;
