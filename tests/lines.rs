@@ -7,7 +7,15 @@ const MAX_COLUMNS: usize = 100;
 /// Extensions of the checked files.
 const EXTENSIONS: &[&str] = &["rs", "md", "toml", "py", "sh", "yml", "cpp", "html", "js"];
 /// Checked scripts without an extension.
-const SCRIPTS: &[&str] = &["check", "bench/asan", "bench/miri", "release/package"];
+const SCRIPTS: &[&str] = &[
+    "check",
+    "bench/asan",
+    "bench/miri",
+    "crates/pipeline/src/view/three/build",
+    "python/check",
+    "release/package",
+    "release/wheel",
+];
 /// Ending of the names of generated files.
 const MINIFIED: &str = ".min.js";
 /// Folders with generated files.
