@@ -24,7 +24,7 @@ const BEST: usize = 2;
 /// is wrong and does not tell which images see the surface. With half and twice of it, F1 at two
 /// footprints is 88.9 and 86.1 % instead of 88.0 % in the room, 84.4 and 83.7 % instead of 84.3 %
 /// on the street, but half takes up to a fifth more time.
-const MAX_SELECTED_COST: f32 = 0.7;
+pub(super) const MAX_SELECTED_COST: f32 = 0.7;
 
 /// Indices of the source images that see a pixel.
 #[derive(Clone, Copy, Debug)]

@@ -3,7 +3,7 @@
 
 use rayon::prelude::*;
 
-use super::cost::{Costs, PixelCosts};
+use super::cost::{Costs, MAX_SELECTED_COST, PixelCosts};
 use super::field::{Cell, Field, color};
 use super::rng::PixelRng;
 use crate::Grey;
@@ -172,6 +172,11 @@ impl Context<'_> {
                 let plane = self.best_of(x, y, offsets, other);
                 offer::<N>(&pixel, cell, plane, per_px);
             }
+        }
+        // Changes of a wrong plane are wrong, too, and cost most where no image is selected. Where
+        // random planes are tried, one of them may be right.
+        if cell.cost >= MAX_SELECTED_COST && !options.random_plane {
+            return;
         }
         let mut rng = PixelRng::new(options.random, y * self.width + x);
         let rays = &costs.rays;
