@@ -208,10 +208,10 @@ impl<'a> Run<'a> {
     }
 
     fn is_undistorted(&self, index: usize) -> Result<bool, Error> {
-        let mask = mask_file(self.name(index));
-        let had_mask = self.workspace.folder.names().any(|name| name == mask);
-        Ok(!self.is_missing(&image_file(self.name(index)))?
-            && !(had_mask && self.is_missing(&mask)?))
+        let (image, mask) = (image_file(self.name(index)), mask_file(self.name(index)));
+        let has_lost_mask =
+            self.workspace.folder.names().any(|name| name == mask) && self.is_missing(&mask)?;
+        Ok(!has_lost_mask && !self.is_missing(&image)?)
     }
 
     /// Whether the files of the last step of an image are there.
