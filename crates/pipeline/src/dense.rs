@@ -209,8 +209,9 @@ impl<'a> Run<'a> {
 
     fn is_undistorted(&self, index: usize) -> Result<bool, Error> {
         let (image, mask) = (image_file(self.name(index)), mask_file(self.name(index)));
-        let has_lost_mask =
-            self.workspace.folder.names().any(|name| name == mask) && self.is_missing(&mask)?;
+        let has_lost_mask = self.masks.is_some()
+            && self.workspace.folder.names().any(|name| name == mask)
+            && self.is_missing(&mask)?;
         Ok(!has_lost_mask && !self.is_missing(&image)?)
     }
 
