@@ -86,6 +86,9 @@ pub fn dense(
             masks.as_ref().map_or(Ok(()), |masks| masks.check(&image.name))?;
         }
         remove_old_results(workspace, &undistorted)?;
+    } else {
+        // The record of a complete stage whose files are gone says so until here.
+        workspace.note(|_| {})?;
     }
     let mut run = Run::new(workspace, undistorted, problems, options, masks);
     let total = 3 * run.problems.len();
@@ -112,10 +115,15 @@ pub fn dense(
             run.done(DenseStep::Depths, index, watch)?;
         }
     }
-    let (mut report, temporary) = run.fuse()?;
+    let (mut report, mut temporary) = run.fuse()?;
     report.seconds = start.elapsed().as_secs_f64();
     let seconds = report.seconds;
     workspace.complete(STAGE);
+    // Names of files that earlier runs or somebody removed leave the manifest.
+    let folder = &workspace.folder;
+    let names = folder.names().filter(|name| Path::new(name).starts_with(DENSE));
+    temporary.extend(names.filter(|name| !folder.exists(name)).map(str::to_owned));
+    temporary.retain(|name| name != DENSE_CLOUD && name != VISIBILITY);
     let fused = vec![VISIBILITY.to_owned(), DENSE_CLOUD.to_owned()];
     workspace.publish(fused, &temporary, |all| all.stages.dense = Some(report))?;
     emit(watch, &Event::StageDone { stage: STAGE, seconds })
@@ -209,9 +217,8 @@ impl<'a> Run<'a> {
 
     fn is_undistorted(&self, index: usize) -> Result<bool, Error> {
         let (image, mask) = (image_file(self.name(index)), mask_file(self.name(index)));
-        let has_lost_mask = self.masks.is_some()
-            && self.workspace.folder.names().any(|name| name == mask)
-            && self.is_missing(&mask)?;
+        let has_lost_mask =
+            self.masks.is_some() && self.workspace.folder.knows(&mask) && self.is_missing(&mask)?;
         Ok(!has_lost_mask && !self.is_missing(&image)?)
     }
 

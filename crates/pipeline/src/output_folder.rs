@@ -125,11 +125,22 @@ impl OutputFolder {
         self.inputs.extend(inputs.into_iter().filter_map(FileId::of));
     }
 
-    /// Names of the files in the manifest that were not removed by a transaction.
+    /// Names of the files in the manifest, but for those that a transaction removed.
     pub(crate) fn names(&self) -> impl Iterator<Item = &str> {
         let removed: BTreeSet<&String> = self.manifest.removed.iter().collect();
-        let names = self.manifest.files.keys();
-        names.filter(move |name| !removed.contains(name)).map(String::as_str)
+        // A transaction that was interrupted before its commit removed nothing.
+        let is_gone = move |name: &&String| removed.contains(name) && !self.exists(name);
+        self.manifest.files.keys().filter(move |name| !is_gone(name)).map(String::as_str)
+    }
+
+    /// Whether the manifest has a name.
+    pub(crate) fn knows(&self, name: &str) -> bool {
+        self.manifest.files.contains_key(name)
+    }
+
+    /// Whether there is a file, or a link, of this name.
+    pub(crate) fn exists(&self, name: &str) -> bool {
+        fs::symlink_metadata(self.root.join(name)).is_ok()
     }
 
     /// Checks before any work is done that these names may be written.
@@ -340,7 +351,7 @@ impl OutputFolder {
             placed.push(name.clone());
         }
         self.refuse_foreign(removed.iter().map(String::as_str))?;
-        let is_there = |name: &&String| fs::symlink_metadata(self.root.join(name)).is_ok();
+        let is_there = |name: &&String| self.exists(name);
         // Until a transaction is complete, the manifest has also the files that it removes.
         for name in self.manifest.removed.iter().chain(removed).filter(|name| !is_there(name)) {
             if !placed.contains(name) {
@@ -532,6 +543,22 @@ mod tests {
         }
         let order: Vec<String> = files.iter().map(|(name, _)| (*name).to_owned()).collect();
         folder.publish(&order, &removed.iter().map(|name| (*name).to_owned()).collect::<Vec<_>>())
+    }
+
+    #[test]
+    fn removed_file_keeps_its_name_until_it_is_gone() {
+        let dir = tempfile::tempdir().unwrap();
+        let mut folder = OutputFolder::open(dir.path()).unwrap();
+        folder.stage_bytes("a", b"made").unwrap();
+        folder.publish(&["a".to_owned()], &[]).unwrap();
+        // As after an interruption before the commit.
+        folder.manifest.removed = vec!["a".to_owned()];
+        assert_eq!(folder.names().collect::<Vec<_>>(), ["a"]);
+        folder.publish(&[], &["a".to_owned()]).unwrap();
+        assert!(!folder.exists("a") && folder.names().next().is_none());
+        folder.stage_bytes("b", b"made").unwrap();
+        folder.publish(&["b".to_owned()], &[]).unwrap();
+        assert!(!folder.knows("a") && folder.knows("b"));
     }
 
     #[test]

@@ -291,11 +291,12 @@ impl Records {
         }
     }
 
-    /// Marks a stage as incomplete. The records of later stages stay, since it will give the same
-    /// results.
+    /// Marks a stage as incomplete, and removes the records of later ones: another version of the
+    /// program may give other results.
     pub(crate) fn reopen(&mut self, stage: Stage) {
-        if let Some(record) = self.stages.get_mut(&stage) {
-            record.is_complete = false;
+        if let Some(record) = self.stages.remove(&stage) {
+            self.forget_from(stage);
+            self.stages.insert(stage, Record { is_complete: false, ..record });
         }
     }
 

@@ -294,7 +294,7 @@ impl Workspace {
             Stage::Dense => DENSE.to_owned(),
         };
         let mut names = self.folder.names().filter(|name| Path::new(name).starts_with(&results));
-        names.any(|name| fs::symlink_metadata(self.root.join(name)).is_err())
+        names.any(|name| !self.folder.exists(name))
     }
 
     /// Path of the capture times that the feature stage wrote; `None` if it wrote none.

@@ -123,7 +123,11 @@ fn dense_gives_a_workspace_of_colmap_and_resumes_with_the_same_bytes() {
     tiepoint_in(dir, "map {}/ws").done();
     let events =
         tiepoint_in(dir, "dense {}/ws --max-size 200 --normal-maps --json").done().events();
-    assert_eq!(events[0]["event"], "stage_kept", "the model is the same again");
+    assert_eq!((&events[0]["event"], &events[0]["done"]), (&"stage_began".into(), &0.into()));
+    assert!(results(&dir.join("ws")) == expected, "the model is the same again");
+    let events =
+        tiepoint_in(dir, "dense {}/ws --max-size 200 --normal-maps --json").done().events();
+    assert_eq!(events[0]["event"], "stage_kept");
     // One thread.
     tiepoint_in(dir, "dense {}/single --max-size 200 --normal-maps --threads 1").done();
     assert!(results(&dir.join("single")) == expected, "one thread gives other bytes");

@@ -173,8 +173,8 @@ impl Context<'_> {
                 offer::<N>(&pixel, cell, plane, per_px);
             }
         }
-        // Changes of a wrong plane are wrong, too, and cost most where no image is selected. Where
-        // random planes are tried, one of them may be right.
+        // Changes of a plane of high cost seldom find one of low cost, and take most time where no
+        // image is selected. Where random planes are tried, one of them may be right.
         if cell.cost >= MAX_SELECTED_COST && !options.random_plane {
             return;
         }
