@@ -92,9 +92,7 @@ pub fn dense(
     }
     let mut run = Run::new(workspace, undistorted, problems, options, masks);
     let total = 3 * run.problems.len();
-    // Planes are temporary: if only other files are gone, they are not made again.
-    let has_all_depths = run.has_all_depths()?;
-    let done = run.count_done(has_all_depths)?;
+    let (done, has_all_depths) = run.count_done()?;
     emit(watch, &Event::StageBegan { stage: STAGE, total, done })?;
     run.write_model()?;
     for (index, (image, photo)) in photos.iter().enumerate() {
@@ -123,7 +121,6 @@ pub fn dense(
     let folder = &workspace.folder;
     let names = folder.names().filter(|name| Path::new(name).starts_with(DENSE));
     temporary.extend(names.filter(|name| !folder.exists(name)).map(str::to_owned));
-    temporary.retain(|name| name != DENSE_CLOUD && name != VISIBILITY);
     let fused = vec![VISIBILITY.to_owned(), DENSE_CLOUD.to_owned()];
     workspace.publish(fused, &temporary, |all| all.stages.dense = Some(report))?;
     emit(watch, &Event::StageDone { stage: STAGE, seconds })
@@ -235,25 +232,17 @@ impl<'a> Run<'a> {
         Ok(true)
     }
 
-    fn has_all_depths(&self) -> Result<bool, Error> {
+    /// Number of steps that an earlier run completed, and whether all depth maps are there. Then
+    /// planes, which are temporary, count as done.
+    fn count_done(&self) -> Result<(usize, bool), Error> {
+        let (mut images, mut planes, mut depths) = (0, 0, 0);
         for index in 0..self.problems.len() {
-            if !self.has_depths(index)? {
-                return Ok(false);
-            }
+            images += usize::from(self.is_undistorted(index)?);
+            planes += usize::from(!self.is_missing(&planes_file(self.name(index)))?);
+            depths += usize::from(self.has_depths(index)?);
         }
-        Ok(true)
-    }
-
-    /// Number of steps that an earlier run completed.
-    fn count_done(&self, has_all_depths: bool) -> Result<usize, Error> {
-        let mut done = 0;
-        for index in 0..self.problems.len() {
-            done += usize::from(self.is_undistorted(index)?);
-            done +=
-                usize::from(has_all_depths || !self.is_missing(&planes_file(self.name(index)))?);
-            done += usize::from(has_all_depths || self.has_depths(index)?);
-        }
-        Ok(done)
+        let has_all_depths = depths == self.problems.len();
+        Ok((images + depths + if has_all_depths { depths } else { planes }, has_all_depths))
     }
 
     fn done(&self, step: DenseStep, index: usize, watch: Watch) -> Result<(), Error> {

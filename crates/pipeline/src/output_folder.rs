@@ -384,8 +384,7 @@ impl OutputFolder {
         let Manifest { order, removed, .. } = &self.manifest;
         let all: Vec<&String> = removed.iter().chain(order.iter().rev()).collect();
         let is_old = |(number, name): &(usize, &&String)| {
-            (*number < removed.len() || committed.join(name).exists())
-                && fs::symlink_metadata(self.root.join(name)).is_ok()
+            (*number < removed.len() || committed.join(name).exists()) && self.exists(name)
         };
         let old: Vec<(usize, &&String)> = all.iter().enumerate().filter(is_old).collect();
         // A foreign file may have been put there since the run was interrupted.

@@ -2,14 +2,14 @@
 
 use rayon::prelude::*;
 
-use super::cost::Costs;
+use super::cost::{Costs, MAX_SELECTED_COST};
 use super::maps::{DepthMap, PlaneMap};
 
 /// Largest cost of a depth: unrelated patches of 32 independent samples have a correlation of more
 /// than 0.3 in one of twenty cases (one-sided t-test with 30 degrees of freedom). With half and
 /// twice of it, F1 at two footprints is 88.5 and 87.8 % instead of 88.0 % in a room (made scene),
-/// 84.4 and 84.3 % instead of 84.3 % on a street; where contrast is low, half loses 3 to 7 %.
-const MAX_COST: f32 = 0.7;
+/// 84.4 and 84.3 % instead of 84.3 % on a street; where contrast is low, 0.5 loses 3 to 7 %.
+const MAX_COST: f32 = MAX_SELECTED_COST;
 /// Largest distance to the planes of a source at half resolution, in pixels of that level: their
 /// own resolution. With half and twice of it, F1 changes by less than 0.4 %.
 const MAX_ERROR_PX: f32 = 1.0;
