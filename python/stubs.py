@@ -20,7 +20,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, Optional, TypedDict, Union
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 # What the program reads: a path, a text, a number, or a list of them.
 Value = Union[str, int, float, "os.PathLike[str]", Sequence[Any]]
@@ -46,8 +46,8 @@ class Camera:
     def params(self) -> Floats: ...
     @property
     def param_names(self) -> list[str]: ...
-    def project(self, points_in_cam: Floats) -> Floats: ...
-    def unproject(self, pixels: Floats) -> Floats: ...
+    def project(self, points_in_cam: ArrayLike) -> Floats: ...
+    def unproject(self, pixels: ArrayLike) -> Floats: ...
 
 class Reconstruction:
     @staticmethod
@@ -67,14 +67,14 @@ class Reconstruction:
     @property
     def poses(self) -> Floats: ...
     @poses.setter
-    def poses(self, value: Floats) -> None: ...
+    def poses(self, value: ArrayLike) -> None: ...
     @property
     def centers(self) -> Floats: ...
     def keypoints(self, image: int) -> Floats: ...
     @property
     def points(self) -> Floats: ...
     @points.setter
-    def points(self, value: Floats) -> None: ...
+    def points(self, value: ArrayLike) -> None: ...
     @property
     def point_ids(self) -> NDArray[np.uint64]: ...
     @property
@@ -93,7 +93,7 @@ class Reconstruction:
     def row_poses(self) -> Floats: ...
     @property
     def row_velocities(self) -> Floats: ...
-    def transform(self, new_from_old: Floats) -> None: ...
+    def transform(self, new_from_old: ArrayLike) -> None: ...
 
 class RelativePose(TypedDict):
     cam2_from_cam1: Floats
@@ -126,7 +126,7 @@ def sift(
     *,
     max_features: int = 8192,
     upright: bool = False,
-    mask: Optional[NDArray[np.uint8]] = None,
+    mask: Optional[Union[NDArray[np.uint8], NDArray[np.bool_]]] = None,
 ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]: ...
 def match(
     a: NDArray[np.uint8],
@@ -137,8 +137,8 @@ def match(
     cross_check: bool = True,
 ) -> NDArray[np.uint32]: ...
 def relative_pose(
-    pixels1: Floats,
-    pixels2: Floats,
+    pixels1: ArrayLike,
+    pixels2: ArrayLike,
     camera1: Camera,
     camera2: Camera,
     *,
@@ -146,18 +146,18 @@ def relative_pose(
     seed: int = 0,
 ) -> Optional[RelativePose]: ...
 def absolute_pose(
-    pixels: Floats,
-    points_in_world: Floats,
+    pixels: ArrayLike,
+    points_in_world: ArrayLike,
     camera: Camera,
     *,
     max_error: float = 4.0,
     seed: int = 0,
 ) -> Optional[AbsolutePose]: ...
 def homography(
-    points1: Floats, points2: Floats, *, max_error: float = 4.0, seed: int = 0
+    points1: ArrayLike, points2: ArrayLike, *, max_error: float = 4.0, seed: int = 0
 ) -> Optional[Homography]: ...
 def fundamental(
-    points1: Floats, points2: Floats, *, max_error: float = 4.0, seed: int = 0
+    points1: ArrayLike, points2: ArrayLike, *, max_error: float = 4.0, seed: int = 0
 ) -> Optional[Fundamental]: ...
 def bundle_adjust(
     reconstruction: Reconstruction,

@@ -1,21 +1,63 @@
 //! Arrays of numpy as vectors of nalgebra, and back.
 
-use numpy::ndarray::{Array1, Array2, Array3};
-use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3, PyReadonlyArray2};
+use numpy::ndarray::{Array1, Array2, Array3, Dimension, Ix2};
+use numpy::{
+    AllowTypeChange, IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayLike, PyReadonlyArray,
+    PyUntypedArray, PyUntypedArrayMethods,
+};
 use pyo3::prelude::*;
 use tiepoint_geometry::Rigid3;
 use tiepoint_geometry::nalgebra::{Matrix3, SVector};
 
 use crate::errors::invalid;
 
-/// The rows of an N × `D` array; an error names the array.
+/// An argument that numpy converts to an array of float64: an array of any type of numbers, or
+/// nested lists. The error names the argument, the shape that it must have, and the one it has.
+pub(crate) fn numbers<'py, D: Dimension + 'py>(
+    value: &Bound<'py, PyAny>,
+    name: &str,
+    shape: &str,
+) -> PyResult<PyArrayLike<'py, f64, D, AllowTypeChange>> {
+    value.extract().map_err(|_| invalid_array(value, name, "numbers", shape))
+}
+
+/// An argument that is an array of uint8. Other types are refused: their values may have any range.
+pub(crate) fn bytes<'py, D: Dimension + 'py>(
+    value: &Bound<'py, PyAny>,
+    name: &str,
+    shape: &str,
+) -> PyResult<PyReadonlyArray<'py, u8, D>> {
+    value.extract().map_err(|_| invalid_array(value, name, "uint8", shape))
+}
+
+/// The exception of an argument that is another array than the one that is needed, or none.
+pub(crate) fn invalid_array(
+    value: &Bound<'_, PyAny>,
+    name: &str,
+    elements: &str,
+    shape: &str,
+) -> PyErr {
+    let found = match value.cast::<PyUntypedArray>() {
+        Ok(array) => {
+            let sizes: Vec<String> = array.shape().iter().map(ToString::to_string).collect();
+            let comma = if sizes.len() == 1 { "," } else { "" };
+            format!("{} of shape ({}{comma})", array.dtype(), sizes.join(", "))
+        }
+        Err(_) => value.get_type().to_string(),
+    };
+    invalid(format!("{name} must be an array of {elements} of shape {shape}, not {found}"))
+}
+
+/// The rows of an N × `D` array of finite numbers; an error names the array.
 pub(crate) fn rows<const D: usize>(
-    array: &PyReadonlyArray2<'_, f64>,
+    value: &Bound<'_, PyAny>,
     name: &str,
 ) -> PyResult<Vec<SVector<f64, D>>> {
+    let shape = format!("(N, {D})");
+    let array = numbers::<Ix2>(value, name, &shape)?;
     let array = array.as_array();
     if array.ncols() != D {
-        return Err(invalid(format!("{name} must be an array of shape (N, {D})")));
+        return Err(invalid_array(value, name, "numbers", &shape));
     }
     if !array.iter().all(|value| value.is_finite()) {
         return Err(invalid(format!("{name} has values that are not finite")));

@@ -1,6 +1,6 @@
 //! Cameras.
 
-use numpy::{PyArray1, PyArray2, PyReadonlyArray2};
+use numpy::{PyArray1, PyArray2};
 use pyo3::prelude::*;
 use tiepoint_geometry::Intrinsics;
 
@@ -59,9 +59,9 @@ impl Camera {
     fn project<'py>(
         &self,
         python: Python<'py>,
-        points_in_cam: PyReadonlyArray2<'py, f64>,
+        points_in_cam: &Bound<'py, PyAny>,
     ) -> PyResult<Bound<'py, PyArray2<f64>>> {
-        let points = rows::<3>(&points_in_cam, "points_in_cam")?;
+        let points = rows::<3>(points_in_cam, "points_in_cam")?;
         let project = |point| self.camera.intrinsics.project(point).map(Into::into);
         let pixels: Vec<[f64; 2]> =
             points.iter().map(|point| project(point).unwrap_or([f64::NAN; 2])).collect();
@@ -72,9 +72,9 @@ impl Camera {
     fn unproject<'py>(
         &self,
         python: Python<'py>,
-        pixels: PyReadonlyArray2<'py, f64>,
+        pixels: &Bound<'py, PyAny>,
     ) -> PyResult<Bound<'py, PyArray2<f64>>> {
-        let pixels = rows::<2>(&pixels, "pixels")?;
+        let pixels = rows::<2>(pixels, "pixels")?;
         let ray = |pixel| self.camera.intrinsics.unproject(pixel);
         let ray = |pixel| ray(pixel).map(|ray| ray.normalize().into());
         let rays: Vec<[f64; 3]> =

@@ -1,6 +1,5 @@
 //! Relative and absolute poses, homographies and fundamental matrices by RANSAC.
 
-use numpy::PyReadonlyArray2;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use tiepoint_geometry::nalgebra::{Matrix3, Vector2};
@@ -40,7 +39,7 @@ fn found<'py, M>(
 /// Estimates a matrix from points of two images.
 fn from_points<'py>(
     python: Python<'py>,
-    [points1, points2]: [&PyReadonlyArray2<'py, f64>; 2],
+    [points1, points2]: [&Bound<'py, PyAny>; 2],
     options: &RansacOptions,
     name: &str,
     estimate: Estimate,
@@ -59,14 +58,14 @@ fn from_points<'py>(
 #[pyo3(signature = (pixels1, pixels2, camera1, camera2, *, max_error=4.0, seed=0))]
 pub(crate) fn relative_pose<'py>(
     python: Python<'py>,
-    pixels1: PyReadonlyArray2<'py, f64>,
-    pixels2: PyReadonlyArray2<'py, f64>,
+    pixels1: &Bound<'py, PyAny>,
+    pixels2: &Bound<'py, PyAny>,
     camera1: Camera,
     camera2: Camera,
     max_error: f64,
     seed: u64,
 ) -> PyResult<Option<Bound<'py, PyDict>>> {
-    let (one, other) = (rows::<2>(&pixels1, "pixels1")?, rows::<2>(&pixels2, "pixels2")?);
+    let (one, other) = (rows::<2>(pixels1, "pixels1")?, rows::<2>(pixels2, "pixels2")?);
     require_same_length(one.len(), other.len(), ["pixels1", "pixels2"])?;
     let options = options(max_error, seed)?;
     let [camera1, camera2] = [camera1, camera2].map(|camera| camera.camera.intrinsics);
@@ -82,14 +81,14 @@ pub(crate) fn relative_pose<'py>(
 #[pyo3(signature = (pixels, points_in_world, camera, *, max_error=4.0, seed=0))]
 pub(crate) fn absolute_pose<'py>(
     python: Python<'py>,
-    pixels: PyReadonlyArray2<'py, f64>,
-    points_in_world: PyReadonlyArray2<'py, f64>,
+    pixels: &Bound<'py, PyAny>,
+    points_in_world: &Bound<'py, PyAny>,
     camera: Camera,
     max_error: f64,
     seed: u64,
 ) -> PyResult<Option<Bound<'py, PyDict>>> {
     let (pixels, points) =
-        (rows::<2>(&pixels, "pixels")?, rows::<3>(&points_in_world, "points_in_world")?);
+        (rows::<2>(pixels, "pixels")?, rows::<3>(points_in_world, "points_in_world")?);
     require_same_length(pixels.len(), points.len(), ["pixels", "points_in_world"])?;
     let options = options(max_error, seed)?;
     let intrinsics = camera.camera.intrinsics;
@@ -104,13 +103,13 @@ pub(crate) fn absolute_pose<'py>(
 #[pyo3(signature = (points1, points2, *, max_error=4.0, seed=0))]
 pub(crate) fn homography<'py>(
     python: Python<'py>,
-    points1: PyReadonlyArray2<'py, f64>,
-    points2: PyReadonlyArray2<'py, f64>,
+    points1: &Bound<'py, PyAny>,
+    points2: &Bound<'py, PyAny>,
     max_error: f64,
     seed: u64,
 ) -> PyResult<Option<Bound<'py, PyDict>>> {
     let options = options(max_error, seed)?;
-    from_points(python, [&points1, &points2], &options, "homography", estimate::homography)
+    from_points(python, [points1, points2], &options, "homography", estimate::homography)
 }
 
 /// The fundamental matrix F of two images, x2ᵀ F x1 = 0, from corresponding pixels, (N, 2) each.
@@ -120,11 +119,11 @@ pub(crate) fn homography<'py>(
 #[pyo3(signature = (points1, points2, *, max_error=4.0, seed=0))]
 pub(crate) fn fundamental<'py>(
     python: Python<'py>,
-    points1: PyReadonlyArray2<'py, f64>,
-    points2: PyReadonlyArray2<'py, f64>,
+    points1: &Bound<'py, PyAny>,
+    points2: &Bound<'py, PyAny>,
     max_error: f64,
     seed: u64,
 ) -> PyResult<Option<Bound<'py, PyDict>>> {
     let options = options(max_error, seed)?;
-    from_points(python, [&points1, &points2], &options, "fundamental", estimate::fundamental)
+    from_points(python, [points1, points2], &options, "fundamental", estimate::fundamental)
 }

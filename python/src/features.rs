@@ -1,11 +1,12 @@
 //! SIFT and matching.
 
+use numpy::ndarray::Ix2;
 use numpy::{PyArray2, PyReadonlyArray2};
 use pyo3::prelude::*;
 use tiepoint_features::{Descriptor, GrayView, Options, Orientation, Sift};
 use tiepoint_matching::match_features;
 
-use crate::arrays::matrix;
+use crate::arrays::{bytes, invalid_array, matrix};
 use crate::errors::{failed, invalid};
 use crate::fork::refuse_after_fork;
 
@@ -13,7 +14,7 @@ use crate::fork::refuse_after_fork;
 type Arrays<'py> = (Bound<'py, PyArray2<f32>>, Bound<'py, PyArray2<u8>>);
 
 /// SIFT keypoints and RootSIFT descriptors of a grey image, an array of uint8 of shape (H, W).
-/// Where `mask`, of the same shape, is 0, no keypoints are detected. Returns the keypoints, float32
+/// Where `mask`, of the same shape, is 0 or false, no keypoints are detected. Returns the keypoints, float32
 /// of shape (N, 4): x, y, scale in pixels and orientation in radians; and the descriptors, uint8 of
 /// shape (N, 128). The centre of the top-left pixel is (0.5, 0.5). As in COLMAP, levels of the
 /// scale space are added from coarse to fine until there are more than `max_features` keypoints:
@@ -22,24 +23,19 @@ type Arrays<'py> = (Bound<'py, PyArray2<f32>>, Bound<'py, PyArray2<u8>>);
 #[pyo3(signature = (image, *, max_features=8192, upright=false, mask=None))]
 pub(crate) fn sift<'py>(
     python: Python<'py>,
-    image: PyReadonlyArray2<'py, u8>,
+    image: &Bound<'py, PyAny>,
     max_features: usize,
     upright: bool,
-    mask: Option<PyReadonlyArray2<'py, u8>>,
+    mask: Option<Bound<'py, PyAny>>,
 ) -> PyResult<Arrays<'py>> {
+    let image = bytes::<Ix2>(image, "image", "(H, W)")?;
     let (height, width) = image.as_array().dim();
     if height == 0 || width == 0 {
         return Err(invalid("image is empty"));
     }
     refuse_after_fork()?;
     let pixels = image.as_array().iter().copied().collect::<Vec<u8>>();
-    let mask = match &mask {
-        Some(mask) if mask.as_array().dim() == (height, width) => {
-            Some(mask.as_array().iter().copied().collect::<Vec<u8>>())
-        }
-        Some(_) => return Err(invalid("mask must have the shape of image")),
-        None => None,
-    };
+    let mask = mask.map(|mask| mask_of(&mask, (height, width))).transpose()?;
     let orientation = if upright { Orientation::Upright } else { Orientation::default() };
     let options = Options { max_features, orientation, ..Options::default() };
     let found = python.detach(|| {
@@ -63,13 +59,13 @@ pub(crate) fn sift<'py>(
 )]
 pub(crate) fn match_descriptors<'py>(
     python: Python<'py>,
-    a: PyReadonlyArray2<'py, u8>,
-    b: PyReadonlyArray2<'py, u8>,
+    a: &Bound<'py, PyAny>,
+    b: &Bound<'py, PyAny>,
     max_ratio: Option<f64>,
     max_angle: Option<f64>,
     cross_check: bool,
 ) -> PyResult<Bound<'py, PyArray2<u32>>> {
-    let (a, b) = (descriptors(&a, "a")?, descriptors(&b, "b")?);
+    let (a, b) = (descriptors(a, "a")?, descriptors(b, "b")?);
     let options = tiepoint_matching::Options {
         max_ratio,
         max_angle_rad: max_angle,
@@ -82,10 +78,28 @@ pub(crate) fn match_descriptors<'py>(
     Ok(matrix(python, &pairs))
 }
 
-fn descriptors(array: &PyReadonlyArray2<'_, u8>, name: &str) -> PyResult<Vec<Descriptor>> {
+/// The pixels of a mask of this shape.
+fn mask_of(mask: &Bound<'_, PyAny>, shape: (usize, usize)) -> PyResult<Vec<u8>> {
+    let pixels: (_, Vec<u8>) = if let Ok(mask) = mask.extract::<PyReadonlyArray2<'_, bool>>() {
+        let mask = mask.as_array();
+        (mask.dim(), mask.iter().map(|value| u8::from(*value)).collect())
+    } else {
+        let mask = bytes::<Ix2>(mask, "mask", "(H, W)")?;
+        let mask = mask.as_array();
+        (mask.dim(), mask.iter().copied().collect())
+    };
+    if pixels.0 != shape {
+        return Err(invalid("mask must have the shape of image"));
+    }
+    Ok(pixels.1)
+}
+
+fn descriptors(value: &Bound<'_, PyAny>, name: &str) -> PyResult<Vec<Descriptor>> {
+    const SHAPE: &str = "(N, 128)";
+    let array = bytes::<Ix2>(value, name, SHAPE)?;
     let array = array.as_array();
     if array.ncols() != 128 {
-        return Err(invalid(format!("{name} must be an array of uint8 of shape (N, 128)")));
+        return Err(invalid_array(value, name, "uint8", SHAPE));
     }
     Ok(array.rows().into_iter().map(|row| std::array::from_fn(|at| row[at])).collect())
 }

@@ -3,10 +3,8 @@
 use std::ops::ControlFlow;
 use std::path::PathBuf;
 
-use numpy::ndarray::Array4;
-use numpy::{
-    IntoPyArray, PyArray1, PyArray2, PyArray3, PyArray4, PyReadonlyArray2, PyReadonlyArray3,
-};
+use numpy::ndarray::{Array4, Ix2, Ix3};
+use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3, PyArray4};
 use pyo3::exceptions::PyIndexError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -17,7 +15,7 @@ use tiepoint_pipeline::rolling_shutters;
 use tiepoint_scene::{CameraId, Image, ImageId, PointId};
 use tiepoint_sfm::{AdjustOptions, RefineIntrinsics, RollingShutter, Scope, adjust, row_poses};
 
-use crate::arrays::{matrix, pose, poses, rows, vector};
+use crate::arrays::{invalid_array, matrix, numbers, pose, poses, rows, vector};
 use crate::camera::Camera;
 use crate::errors::{failed, invalid};
 use crate::fork::refuse_after_fork;
@@ -139,11 +137,13 @@ impl Reconstruction {
 
     /// Replaces the poses. Images of a frame of a rig are no longer rigidly connected.
     #[setter]
-    fn set_poses(&mut self, value: PyReadonlyArray3<'_, f64>) -> PyResult<()> {
-        let array = value.as_array();
-        if array.dim() != (self.images.len(), 3, 4) {
-            let count = self.images.len();
-            return Err(invalid(format!("poses must be an array of shape ({count}, 3, 4)")));
+    fn set_poses(&mut self, value: &Bound<'_, PyAny>) -> PyResult<()> {
+        let count = self.images.len();
+        let shape = format!("({count}, 3, 4)");
+        let array = numbers::<Ix3>(value, "poses", &shape)?;
+        let array = array.as_array();
+        if array.dim() != (count, 3, 4) {
+            return Err(invalid_array(value, "poses", "numbers", &shape));
         }
         let mut all = Vec::new();
         for matrix in array.outer_iter() {
@@ -194,11 +194,11 @@ impl Reconstruction {
 
     /// Replaces the positions of the points.
     #[setter]
-    fn set_points(&mut self, value: PyReadonlyArray2<'_, f64>) -> PyResult<()> {
-        let points = rows::<3>(&value, "points")?;
-        if points.len() != self.points.len() {
-            let count = self.points.len();
-            return Err(invalid(format!("points must be an array of shape ({count}, 3)")));
+    fn set_points(&mut self, value: &Bound<'_, PyAny>) -> PyResult<()> {
+        let points = rows::<3>(value, "points")?;
+        let count = self.points.len();
+        if points.len() != count {
+            return Err(invalid_array(value, "points", "numbers", &format!("({count}, 3)")));
         }
         for (id, xyz) in self.points.iter().zip(points) {
             if let Some(track) = self.model.track_mut(*id) {
@@ -321,10 +321,12 @@ impl Reconstruction {
     }
 
     /// Applies a similarity, a 4 × 4 matrix [sR t; 0 1] or [sR | t] of shape (3, 4).
-    fn transform(&mut self, new_from_old: PyReadonlyArray2<'_, f64>) -> PyResult<()> {
-        let array = new_from_old.as_array();
+    fn transform(&mut self, new_from_old: &Bound<'_, PyAny>) -> PyResult<()> {
+        const SHAPE: &str = "(4, 4) or (3, 4)";
+        let array = numbers::<Ix2>(new_from_old, "new_from_old", SHAPE)?;
+        let array = array.as_array();
         if ![(3, 4), (4, 4)].contains(&array.dim()) {
-            return Err(invalid("new_from_old must be an array of shape (4, 4) or (3, 4)"));
+            return Err(invalid_array(new_from_old, "new_from_old", "numbers", SHAPE));
         }
         let mut matrix = Matrix4::identity();
         for ((row, column), value) in array.indexed_iter() {

@@ -75,6 +75,26 @@ def test_wrong_arrays_are_errors():
     with pytest.raises(tiepoint.UsageError, match="finite"):
         tiepoint.homography(one, np.full((10, 2), np.nan))
     assert tiepoint.homography(np.zeros((2, 2)), np.zeros((2, 2))) is None
+    with pytest.raises(tiepoint.UsageError, match=r"points1 .* \(N, 2\), not float64 of .* \(4,\)"):
+        tiepoint.homography(np.zeros(4), one)
+    with pytest.raises(tiepoint.UsageError, match="points2 .*, not <class 'str'>"):
+        tiepoint.homography(one, "left.jpg")
+    with pytest.raises(tiepoint.UsageError, match=r"uint8 of shape \(H, W\), not .* \(9, 9, 3\)"):
+        tiepoint.sift(np.zeros((9, 9, 3), np.uint8))
+    with pytest.raises(tiepoint.UsageError, match=r"\(N, 128\), not float32"):
+        tiepoint.match(np.zeros((3, 128), np.float32), np.zeros((3, 128), np.uint8))
+
+
+def test_coordinates_may_have_any_type_of_numbers():
+    one = np.random.default_rng(6).integers(0, 500, (60, 2))
+    other = one + [3, -4]
+    expected = tiepoint.homography(one.astype(float), other.astype(float))["homography"]
+    for convert in (np.float32, np.int16):
+        found = tiepoint.homography(one.astype(convert), other.astype(convert))
+        assert (found["homography"] == expected).all()
+    assert (tiepoint.homography(one.tolist(), other.tolist())["homography"] == expected).all()
+    camera = tiepoint.Camera("PINHOLE", 640, 480, [500, 500, 320, 240])
+    assert (camera.project([[0, 0, 1]]) == [[320, 240]]).all()
 
 
 def test_sift_and_matches():
@@ -95,7 +115,9 @@ def test_sift_and_matches():
     assert len(pairs) > 30 and np.abs(np.median(moved, axis=0) - [7, 0]).max() < 0.05
     mask = np.zeros_like(image)
     mask[:, :100] = 255
-    assert tiepoint.sift(image, mask=mask)[0][:, 0].max() < 101
+    masked = tiepoint.sift(image, mask=mask)[0]
+    assert masked[:, 0].max() < 101
+    assert (tiepoint.sift(image, mask=mask > 0)[0] == masked).all()
     with pytest.raises(tiepoint.UsageError, match="128"):
         tiepoint.match(np.zeros((3, 64), np.uint8), descriptors)
 
@@ -108,6 +130,10 @@ def test_undistortion():
     assert (flat == 90).all(), "no blank pixels"
     with pytest.raises(tiepoint.UsageError):
         tiepoint.undistort(image, camera, blank_pixels=2.0)
+    with pytest.raises(tiepoint.UsageError, match=r"\(H, W, 3\), not uint8 of shape \(48, 64\)"):
+        tiepoint.undistort(image[:, :, 0], camera)
+    with pytest.raises(tiepoint.UsageError, match=r"\(H, W, 3\), not uint8 of .*, 2\)"):
+        tiepoint.undistort(image[:, :, :2], camera)
     with pytest.raises(tiepoint.UsageError, match="48 x 64"):
         tiepoint.undistort(image.transpose(1, 0, 2), camera)
 
