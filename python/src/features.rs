@@ -14,11 +14,11 @@ use crate::fork::refuse_after_fork;
 type Arrays<'py> = (Bound<'py, PyArray2<f32>>, Bound<'py, PyArray2<u8>>);
 
 /// SIFT keypoints and RootSIFT descriptors of a grey image, an array of uint8 of shape (H, W).
-/// Where `mask`, of the same shape, is 0 or false, no keypoints are detected. Returns the keypoints, float32
-/// of shape (N, 4): x, y, scale in pixels and orientation in radians; and the descriptors, uint8 of
-/// shape (N, 128). The centre of the top-left pixel is (0.5, 0.5). As in COLMAP, levels of the
-/// scale space are added from coarse to fine until there are more than `max_features` keypoints:
-/// the last level is complete.
+/// Where `mask`, of the same shape, is 0 or false, no keypoints are detected. Returns the
+/// keypoints, float32 of shape (N, 4): x, y, scale in pixels and orientation in radians; and the
+/// descriptors, uint8 of shape (N, 128). The centre of the top-left pixel is (0.5, 0.5). As in
+/// COLMAP, levels of the scale space are added from coarse to fine until there are more than
+/// `max_features` keypoints: the last level is complete.
 #[pyfunction]
 #[pyo3(signature = (image, *, max_features=8192, upright=false, mask=None))]
 pub(crate) fn sift<'py>(
