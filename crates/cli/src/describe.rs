@@ -1,5 +1,8 @@
 //! The commands and their options as data, for bindings of other languages.
 
+use std::any::TypeId;
+use std::path::PathBuf;
+
 use clap::{Arg, ArgAction, Command, CommandFactory};
 use serde::Serialize;
 
@@ -32,6 +35,8 @@ pub struct ArgumentInfo {
     pub is_flag: bool,
     /// Whether it may be given more than once.
     pub is_repeated: bool,
+    /// Whether its value is the path of a file or folder.
+    pub is_path: bool,
     /// Its default; empty if there is none.
     pub default: String,
     /// The values that it may have; empty if they are not a list.
@@ -85,6 +90,7 @@ fn info(arg: &Arg) -> ArgumentInfo {
         is_flag,
         is_repeated: matches!(arg.get_action(), ArgAction::Append)
             || arg.get_num_args().is_some_and(|range| range.max_values() > 1),
+        is_path: arg.get_value_parser().type_id() == TypeId::of::<PathBuf>(),
         default: default.join(","),
         values: values.iter().map(|value| value.get_name().to_owned()).collect(),
     }
@@ -107,6 +113,8 @@ mod tests {
         assert!(inputs.is_positional && inputs.is_repeated && !inputs.is_required);
         assert!(argument("output").unwrap().is_required);
         assert!(argument("calibration").unwrap().is_repeated);
+        assert!(inputs.is_path && argument("masks").unwrap().is_path);
+        assert!(!argument("pairs").unwrap().is_path);
         assert!(argument("fix-existing-frames").unwrap().is_flag);
         assert_eq!(argument("pairs").unwrap().default, "auto");
         assert!(argument("threads").is_none() && argument("seed").is_some());

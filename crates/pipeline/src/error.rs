@@ -87,11 +87,20 @@ pub enum Error {
     },
     /// An interrupted run has committed results that are not all in their final places yet.
     #[error(
-        "an earlier run was interrupted while it moved its results into {path}: give the same \
-        command again to complete that"
+        "an earlier run was interrupted while it moved its results into {path}: give the \
+        command of that run again to complete it"
     )]
     Unfinished {
         /// The folder.
+        path: PathBuf,
+    },
+    /// A part of a name in an output folder is a symbolic link.
+    #[error(
+        "{path} is a symbolic link inside a folder that results are written to, and this program \
+        does not write through it: remove the link, or choose another folder with -o"
+    )]
+    LinkInFolder {
+        /// The link.
         path: PathBuf,
     },
     /// The result would overwrite an input.

@@ -16,7 +16,7 @@ use crate::image_names::{first_folder, number};
 use crate::model_location::ModelLocation;
 use crate::output_folder::OutputFolder;
 use crate::workspace::{current_records, is_workspace};
-use crate::{Error, Stage, Workspace};
+use crate::{Error, Stage};
 
 /// A file or folder with ground truth poses.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -145,20 +145,16 @@ struct TruePose {
     focal_px: Option<f64>,
 }
 
-/// The folder of a COLMAP model: `path` itself, or `path/sparse/0` if that exists. Completes the
-/// move of results that an interrupted run began.
+/// The folder of a COLMAP model: `path` itself, or `path/sparse/0` if that exists. Changes nothing:
+/// the folder may be somebody else's.
 ///
 /// # Errors
 ///
-/// The models of the workspace were computed from features or matches that have been replaced.
+/// An interrupted run left its results half in place, or the models of the workspace were computed
+/// from features or matches that have been replaced.
 pub fn model_folder(path: &Path) -> Result<PathBuf, Error> {
     if OutputFolder::is_unfinished(path) {
-        // Opening completes the interrupted move.
-        if is_workspace(path) {
-            drop(Workspace::open(path)?);
-        } else {
-            drop(OutputFolder::open(path)?);
-        }
+        return Err(Error::Unfinished { path: path.to_owned() });
     }
     let largest = path.join("sparse/0");
     if !largest.is_dir() {

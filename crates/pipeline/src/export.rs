@@ -265,6 +265,23 @@ pub fn write_model(to: &Path, model: &Reconstruction, format: Format) -> Result<
     write_colmap(to, model, format, &[])
 }
 
+/// Checks that [`write_colmap`] may write into a folder, which is created.
+///
+/// # Errors
+///
+/// A file of a model exists that is an input or not this program's.
+pub(crate) fn refuse_foreign_model(to: &Path, inputs: &[PathBuf]) -> Result<(), Error> {
+    model_output(to, inputs).map(drop)
+}
+
+/// A folder that a model may be written into.
+fn model_output(to: &Path, inputs: &[PathBuf]) -> Result<OutputFolder, Error> {
+    let mut folder = OutputFolder::open(to)?;
+    folder.protect(inputs.iter().map(PathBuf::as_path));
+    folder.refuse_foreign(model_names(None).iter().map(String::as_str))?;
+    Ok(folder)
+}
+
 /// Writes a COLMAP model into a folder and replaces an earlier one of this program.
 ///
 /// # Errors
@@ -276,10 +293,8 @@ pub(crate) fn write_colmap(
     format: Format,
     inputs: &[PathBuf],
 ) -> Result<(), Error> {
-    let mut folder = OutputFolder::open(to)?;
-    folder.protect(inputs.iter().map(PathBuf::as_path));
+    let folder = &mut model_output(to, inputs)?;
     let names = model_names(None);
-    folder.refuse_foreign(names.iter().map(String::as_str))?;
     let staged = folder.stage_model(None, model, format)?;
     // Readers might prefer files of the other format.
     let removed: Vec<String> = names.into_iter().filter(|name| !staged.contains(name)).collect();

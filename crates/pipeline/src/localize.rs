@@ -28,7 +28,6 @@ use crate::cameras::Calibration;
 use crate::database_scene::read_scene;
 use crate::export::{model_files, write_colmap};
 use crate::keypoints::keypoint;
-use crate::output_folder::OutputFolder;
 use crate::workspace::{DATABASE, current_records, is_workspace};
 use crate::{Error, Event, Watch, emit, model_folder};
 
@@ -298,10 +297,6 @@ impl CameraFacts {
 
 impl Map {
     fn open(path: &Path, options: &LocalizeOptions) -> Result<Self, Error> {
-        // Readers complete the move of results; this command changes nothing of the model.
-        if OutputFolder::is_unfinished(path) {
-            return Err(Error::Unfinished { path: path.to_owned() });
-        }
         let folder = model_folder(path)?;
         // The model may be that of `sparse/0` or of another folder with a database.
         let root = folder.ancestors().take(3).find(|root| root.join(DATABASE).is_file());

@@ -11,7 +11,7 @@ use tiepoint_sfm::geometry::{RansacOptions, Sim3, estimate};
 use tiepoint_sfm::scene::Reconstruction;
 use tiepoint_sfm::{BoundingBox, align_models, crop, merge_model};
 
-use crate::export::{model_files, write_colmap};
+use crate::export::{model_files, refuse_foreign_model, write_colmap};
 use crate::output_file::write_file;
 use crate::{Error, model_folder};
 
@@ -283,6 +283,8 @@ pub fn align_model(
     };
     model.transform(&new_from_old)?;
     if let Some(file) = transform_to {
+        // Both results are refused before either is written.
+        refuse_foreign_model(to, &inputs)?;
         write_file(file, inputs.iter().map(PathBuf::as_path), None, |file| {
             Ok(similarity::write(file, &new_from_old)?)
         })?;

@@ -56,8 +56,9 @@ pub(crate) fn write_file<'a>(
 ///
 /// # Errors
 ///
-/// A foreign page exists, or the page cannot be written.
+/// A foreign page or a link exists, or the page cannot be written.
 pub fn write_page(path: &Path, html: &str) -> Result<(), Error> {
+    refuse_link(path)?;
     write_file(path, [], Some(PAGE_MARK), |path| {
         Ok(AtomicFile::write_with(path, |file| io::Write::write_all(file, html.as_bytes()))?)
     })
@@ -67,12 +68,21 @@ pub fn write_page(path: &Path, html: &str) -> Result<(), Error> {
 ///
 /// # Errors
 ///
-/// A foreign page exists.
+/// A foreign page exists, or a link: the program chose the name, and the folder may be somebody
+/// else's.
 pub fn refuse_foreign_page(path: &Path) -> Result<(), Error> {
+    refuse_link(path)?;
     if may_be_replaced(path, Some(PAGE_MARK))? {
         Ok(())
     } else {
         Err(Error::ForeignFile { path: path.to_owned() })
+    }
+}
+
+fn refuse_link(path: &Path) -> Result<(), Error> {
+    match fs::symlink_metadata(path) {
+        Ok(found) if found.is_symlink() => Err(Error::LinkInFolder { path: path.to_owned() }),
+        _ => Ok(()),
     }
 }
 

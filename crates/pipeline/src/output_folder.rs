@@ -10,6 +10,10 @@
 //! the old files are moved out and the new ones into place. The next [`OutputFolder::open`]
 //! completes a move that was interrupted. During the move the file that readers look for first is
 //! missing, so that no reader sees a mix of old and new files.
+//!
+//! A folder may come from somebody else, with a manifest, staged files and links of their choice.
+//! All names are therefore looked up from the folder's own handle, no part of a name may be a
+//! symbolic link, and commands that only read a folder never open it here.
 
 use std::collections::BTreeSet;
 use std::fs::{self, File, TryLockError};
@@ -18,7 +22,7 @@ use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 use tiepoint_io::colmap::{self, Format, MODEL_FILES};
-use tiepoint_io::disk::{self, FileId};
+use tiepoint_io::disk::{self, FileId, Folder};
 use tiepoint_io::{AtomicFile, MANIFEST, Manifest, is_inside};
 use tiepoint_sfm::scene::Reconstruction;
 
@@ -34,7 +38,7 @@ const BUFFER_BYTES: usize = 1 << 16;
 /// An output folder, locked by this process.
 #[derive(Debug)]
 pub(crate) struct OutputFolder {
-    root: PathBuf,
+    root: Folder,
     manifest: Manifest,
     /// Files that the command reads.
     inputs: BTreeSet<FileId>,
@@ -63,12 +67,16 @@ impl OutputFolder {
     ///
     /// # Errors
     ///
-    /// The folder cannot be written, another run uses it, or its manifest is invalid.
+    /// The folder cannot be written, another run uses it, its manifest is invalid, or a name that
+    /// an interrupted transaction moves leads over a link.
     pub(crate) fn open(root: &Path) -> Result<Self, Error> {
         disk::create_folders(root).map_err(output(root))?;
         let lock = lock(root)?;
-        let manifest = read_manifest(root)?.unwrap_or_default();
-        let root = root.to_owned();
+        let root = Folder::open(root).map_err(output(root))?;
+        for name in [MANIFEST, STAGED, COMMITTED, REPLACED] {
+            refuse_link(&root, name)?;
+        }
+        let manifest = read_manifest(root.path())?.unwrap_or_default();
         let this = Self {
             root,
             manifest,
@@ -77,7 +85,7 @@ impl OutputFolder {
             replaceable: BTreeSet::new(),
             _lock: lock,
         };
-        if this.root.join(COMMITTED).is_dir() {
+        if this.root.has(COMMITTED) {
             this.put_in_place()?;
         }
         this.remove(STAGED)?;
@@ -90,9 +98,10 @@ impl OutputFolder {
         root.join(MANIFEST).is_file()
     }
 
-    /// Whether an interrupted run left a committed transaction incomplete.
+    /// Whether an interrupted run left a committed transaction incomplete. Whatever has the name of
+    /// its folder counts: what cannot be such a folder is refused by [`OutputFolder::open`].
     pub(crate) fn is_unfinished(root: &Path) -> bool {
-        root.join(COMMITTED).is_dir()
+        fs::symlink_metadata(root.join(COMMITTED)).is_ok()
     }
 
     /// Adds the existing files of these names to the manifest with their current content.
@@ -102,11 +111,12 @@ impl OutputFolder {
     /// A file cannot be read, or the manifest cannot be written.
     pub(crate) fn claim(&mut self, names: &[String]) -> Result<(), Error> {
         for name in names {
-            if let Some(hash) = hash_of(&self.root.join(name))? {
+            self.refuse_link(name)?;
+            if let Some(hash) = hash_of(&self.root, name)? {
                 self.manifest.files.entry(name.clone()).or_default().insert(hash);
             }
         }
-        Ok(self.manifest.write(&self.root)?)
+        Ok(self.manifest.write(self.root.path())?)
     }
 
     /// Sets the names of files that are never foreign, whatever their content.
@@ -140,7 +150,12 @@ impl OutputFolder {
 
     /// Whether there is a file, or a link, of this name.
     pub(crate) fn exists(&self, name: &str) -> bool {
-        fs::symlink_metadata(self.root.join(name)).is_ok()
+        self.root.has(name)
+    }
+
+    /// Checks that no part of a name is a symbolic link.
+    fn refuse_link(&self, name: impl AsRef<Path>) -> Result<(), Error> {
+        refuse_link(&self.root, name)
     }
 
     /// Checks before any work is done that these names may be written.
@@ -162,7 +177,7 @@ impl OutputFolder {
     /// The existing file is foreign or an input, and has another content.
     pub(crate) fn refuse_unless_same(&self, name: &str) -> Result<(), Error> {
         let (owner, hash) = self.owner(name)?;
-        let staged = hash_of(&self.root.join(STAGED).join(name))?;
+        let staged = hash_of(&self.root, Path::new(STAGED).join(name))?;
         if staged.is_some() && staged == self.hash_there(name, &owner, hash)? {
             return Ok(());
         }
@@ -181,13 +196,14 @@ impl OutputFolder {
     /// The owner of a file, and the hash of its content if it was computed.
     fn owner(&self, name: &str) -> Result<(Owner, Option<String>), Error> {
         let path = self.root.join(name);
-        let found = match fs::symlink_metadata(&path) {
-            Err(cause) if cause.kind() == io::ErrorKind::NotFound => {
-                return Ok((Owner::Nobody, None));
-            }
+        if let Some(folder) = Path::new(name).parent() {
+            self.refuse_link(folder)?;
+        }
+        let found = match self.root.metadata(name) {
+            Ok(None) => return Ok((Owner::Nobody, None)),
             // A parent of the path is a file, so that the path cannot be written.
             Err(cause) => return Err(Error::Output { path, cause }),
-            Ok(found) => found,
+            Ok(Some(found)) => found,
         };
         if FileId::of(&path).is_some_and(|id| self.inputs.contains(&id)) {
             return Ok((Owner::Input, None));
@@ -199,7 +215,7 @@ impl OutputFolder {
             return Ok((Owner::Us, None));
         }
         let Some(known) = self.manifest.files.get(name) else { return Ok((Owner::Others, None)) };
-        let hash = hash_of(&path)?;
+        let hash = hash_of(&self.root, name)?;
         let is_known = hash.as_ref().is_some_and(|hash| known.contains(hash));
         Ok((if is_known { Owner::Us } else { Owner::Others }, hash))
     }
@@ -213,7 +229,7 @@ impl OutputFolder {
     ) -> Result<Option<String>, Error> {
         match (owner, hash) {
             (Owner::Nobody, _) => Ok(None),
-            (_, None) => hash_of(&self.root.join(name)),
+            (_, None) => hash_of(&self.root, name),
             (_, hash) => Ok(hash),
         }
     }
@@ -224,12 +240,11 @@ impl OutputFolder {
     ///
     /// The file cannot be read.
     pub(crate) fn is_as_left(&self, name: &str) -> Result<bool, Error> {
-        let path = self.root.join(name);
-        let is_link = fs::symlink_metadata(&path).is_ok_and(|found| found.is_symlink());
-        let Some(known) = self.manifest.files.get(name).filter(|_| !is_link) else {
+        let link = self.root.find_link(name).map_err(output(&self.root.join(name)))?;
+        let Some(known) = self.manifest.files.get(name).filter(|_| link.is_none()) else {
             return Ok(false);
         };
-        Ok(hash_of(&path)?.is_some_and(|hash| known.contains(&hash)))
+        Ok(hash_of(&self.root, name)?.is_some_and(|hash| known.contains(&hash)))
     }
 
     /// The path at which to write the staged file of a name; creates its folder.
@@ -239,11 +254,14 @@ impl OutputFolder {
     /// The name leads out of the folder, or the folder cannot be created.
     pub(crate) fn stage(&self, name: &str) -> Result<PathBuf, Error> {
         if !is_inside(name) {
-            return Err(Error::NotInside { path: self.root.clone(), name: name.to_owned() });
+            let path = self.root.path().to_owned();
+            return Err(Error::NotInside { path, name: name.to_owned() });
         }
-        let path = self.root.join(STAGED).join(name);
-        disk::create_folders(disk::folder_of(&path)).map_err(output(&self.root.join(name)))?;
-        Ok(path)
+        let staged = Path::new(STAGED).join(name);
+        self.root
+            .create_folders(disk::folder_of(&staged))
+            .map_err(output(&self.root.join(name)))?;
+        Ok(self.root.join(staged))
     }
 
     /// Writes the staged file of a name.
@@ -284,14 +302,14 @@ impl OutputFolder {
             }
         }
         if folder.is_none() {
-            disk::remove_empty_folder(&path).map_err(output(&self.root))?;
+            disk::remove_empty_folder(&path).map_err(output(self.root.path()))?;
         }
         Ok(names)
     }
 
     /// Replaces the staged path in an error by the final path.
     fn renamed(&self, error: tiepoint_io::Error, staged: &str, folder: Option<&str>) -> Error {
-        let asked = folder.map_or_else(|| self.root.clone(), |folder| self.root.join(folder));
+        let asked = self.root.join(folder.unwrap_or_default());
         let staged = self.root.join(STAGED).join(staged);
         let rename = |path: PathBuf| match path.strip_prefix(&staged) {
             Ok(rest) if rest.as_os_str().is_empty() => asked.clone(),
@@ -322,13 +340,13 @@ impl OutputFolder {
     /// if the transaction was committed before, the next [`OutputFolder::open`] completes it, and
     /// until then nothing else can be published.
     pub(crate) fn publish(&mut self, order: &[String], removed: &[String]) -> Result<usize, Error> {
-        if Self::is_unfinished(&self.root) {
-            return Err(Error::Unfinished { path: self.root.clone() });
+        if Self::is_unfinished(self.root.path()) {
+            return Err(Error::Unfinished { path: self.root.path().to_owned() });
         }
-        let staged = self.root.join(STAGED);
+        let staged = Path::new(STAGED);
         let hashes: Vec<Option<String>> = {
             let all: Result<Vec<_>, Error> =
-                order.par_iter().map(|name| hash_of(&staged.join(name))).collect();
+                order.par_iter().map(|name| hash_of(&self.root, staged.join(name))).collect();
             all?
         };
         let owners: Result<Vec<(Owner, Option<String>)>, Error> =
@@ -342,7 +360,7 @@ impl OutputFolder {
             })?;
             let there = self.hash_there(name, &owner, there)?;
             if there.as_ref() == Some(&hash) {
-                disk::remove_file(&staged.join(name)).map_err(output(&self.root.join(name)))?;
+                self.root.remove_file(staged.join(name)).map_err(output(&self.root.join(name)))?;
                 kept += 1;
                 continue;
             }
@@ -360,31 +378,38 @@ impl OutputFolder {
         }
         let removed: Vec<String> = removed.iter().filter(is_there).cloned().collect();
         for name in removed.iter().filter(|name| self.replaceable.contains(*name)) {
-            let hash = hash_of(&self.root.join(name))?;
+            let hash = hash_of(&self.root, name)?;
             manifest.files.entry(name.clone()).or_default().extend(hash);
         }
         if placed.is_empty() && removed.is_empty() {
             self.remove(STAGED)?;
             return Ok(kept);
         }
-        disk::create_folders(&staged).map_err(output(&self.root))?;
-        sync_folders(&staged).map_err(output(&self.root))?;
+        let at_root = || output(self.root.path());
+        self.root.create_folders(staged).map_err(at_root())?;
+        self.root.sync_folders(staged).map_err(at_root())?;
         (manifest.order, manifest.removed) = (placed, removed);
-        manifest.write(&self.root)?;
+        self.refuse_link(MANIFEST)?;
+        manifest.write(self.root.path())?;
+        self.root.rename(staged, COMMITTED).map_err(at_root())?;
+        self.root.sync_folder("").map_err(at_root())?;
         self.manifest = manifest;
-        disk::rename(&staged, &self.root.join(COMMITTED)).map_err(output(&self.root))?;
-        disk::sync_folder(&self.root).map_err(output(&self.root))?;
         self.put_in_place()?;
         Ok(kept)
     }
 
     /// Moves the files of a committed transaction into place, except those that were moved before.
     fn put_in_place(&self) -> Result<(), Error> {
-        let (committed, replaced) = (self.root.join(COMMITTED), self.root.join(REPLACED));
+        let (committed, replaced) = (Path::new(COMMITTED), Path::new(REPLACED));
         let Manifest { order, removed, .. } = &self.manifest;
+        for name in order {
+            self.refuse_link(name)?;
+            self.refuse_link(committed.join(name))?;
+        }
+        removed.iter().try_for_each(|name| self.refuse_link(name))?;
         let all: Vec<&String> = removed.iter().chain(order.iter().rev()).collect();
         let is_old = |(number, name): &(usize, &&String)| {
-            (*number < removed.len() || committed.join(name).exists()) && self.exists(name)
+            (*number < removed.len() || self.root.has(committed.join(name))) && self.exists(name)
         };
         let old: Vec<(usize, &&String)> = all.iter().enumerate().filter(is_old).collect();
         // A foreign file may have been put there since the run was interrupted.
@@ -393,48 +418,68 @@ impl OutputFolder {
                 return Err(Error::ForeignFile { path: self.root.join(name) });
             }
         }
-        disk::create_folders(&replaced).map_err(output(&self.root))?;
+        self.root.create_folders(replaced).map_err(output(self.root.path()))?;
         for (number, name) in old {
-            let path = self.root.join(name);
-            move_file(&path, &replaced.join(number.to_string())).map_err(output(&path))?;
+            let to = replaced.join(number.to_string());
+            self.move_file(Path::new(name), &to).map_err(output(&self.root.join(name)))?;
         }
         let mut folders = BTreeSet::new();
-        for name in order {
-            let (from, path) = (committed.join(name), self.root.join(name));
-            if from.exists() {
-                disk::create_folders(disk::folder_of(&path)).map_err(output(&path))?;
-                move_file(&from, &path).map_err(output(&path))?;
-                let own = Path::new(name).ancestors().skip(1).map(|folder| self.root.join(folder));
-                folders.extend(own);
+        for name in order.iter().map(Path::new) {
+            let from = committed.join(name);
+            if self.root.has(&from) {
+                let path = self.root.join(name);
+                let failed = || output(&path);
+                self.root.create_folders(name.parent().unwrap_or(name)).map_err(failed())?;
+                self.move_file(&from, name).map_err(failed())?;
+                folders.extend(name.ancestors().skip(1));
             }
         }
         // Inner folders first.
         for folder in folders.iter().rev() {
-            disk::sync_folder(folder).map_err(output(folder))?;
+            self.root.sync_folder(folder).map_err(output(&self.root.join(folder)))?;
         }
-        for name in removed {
-            let folder = self.root.join(name);
-            if let Some(folder) =
-                folder.parent().filter(|folder| *folder != self.root && folder.is_dir())
-            {
-                // A folder with foreign files, or a link, stays.
-                let _ = disk::remove_empty_folder(folder);
+        for name in removed.iter().map(Path::new) {
+            if let Some(folder) = name.parent().filter(|folder| !folder.as_os_str().is_empty()) {
+                // A folder with foreign files stays.
+                let _ = self.root.remove_empty_folder(folder);
             }
         }
         self.remove(COMMITTED)?;
         self.remove(REPLACED)
     }
 
+    /// Renames a file; copies it if the target is on another disk, which may be mounted there.
+    fn move_file(&self, from: &Path, to: &Path) -> io::Result<()> {
+        match self.root.rename(from, to) {
+            Err(cause) if cause.kind() == io::ErrorKind::CrossesDevices => {
+                let mut source = self.root.open_file(from)?;
+                AtomicFile::write_with(self.root.join(to), |file| {
+                    io::copy(&mut source, file).map(drop)
+                })
+                .map_err(io::Error::other)?;
+                self.root.remove_file(from)
+            }
+            renamed => renamed,
+        }
+    }
+
     fn remove(&self, own: &str) -> Result<(), Error> {
-        let path = self.root.join(own);
-        disk::remove_own_folder(&path).map_err(output(&path))
+        self.root.remove_own_folder(own).map_err(output(&self.root.join(own)))
     }
 }
 
 impl Drop for OutputFolder {
     fn drop(&mut self) {
         // Staged files that were not published. Errors cannot be returned here.
-        let _ = disk::remove_own_folder(&self.root.join(STAGED));
+        let _ = self.root.remove_own_folder(STAGED);
+    }
+}
+
+/// Checks that no part of a name in a folder is a symbolic link.
+fn refuse_link(root: &Folder, name: impl AsRef<Path>) -> Result<(), Error> {
+    match root.find_link(&name).map_err(output(&root.join(&name)))? {
+        Some(path) => Err(Error::LinkInFolder { path }),
+        None => Ok(()),
     }
 }
 
@@ -459,18 +504,18 @@ pub(crate) fn output(path: &Path) -> impl FnOnce(io::Error) -> Error {
     move |cause| Error::Output { path, cause }
 }
 
-/// BLAKE3 hash of a regular file; `None` if there is none.
-fn hash_of(path: &Path) -> Result<Option<String>, Error> {
-    let unreadable = |cause| Error::Unreadable { path: path.to_owned(), cause };
-    match fs::metadata(path) {
-        Err(cause) if cause.kind() == io::ErrorKind::NotFound => return Ok(None),
+/// BLAKE3 hash of a regular file in a folder; `None` if there is none.
+fn hash_of(root: &Folder, name: impl AsRef<Path>) -> Result<Option<String>, Error> {
+    let path = root.join(&name);
+    let unreadable = |cause| Error::Unreadable { path: path.clone(), cause };
+    match root.metadata(&name) {
         Err(cause) => return Err(unreadable(cause)),
-        Ok(found) if !found.is_file() => return Ok(None),
-        Ok(_) => {}
+        Ok(Some(found)) if found.is_file() => {}
+        Ok(_) => return Ok(None),
     }
     #[cfg(test)]
-    tests::HASHED.lock().expect("no test panics with it").push(path.to_owned());
-    let mut file = File::open(path).map_err(unreadable)?;
+    tests::HASHED.lock().expect("no test panics with it").push(path.clone());
+    let mut file = root.open_file(&name).map_err(unreadable)?;
     let (mut hash, mut buffer) = (blake3::Hasher::new(), vec![0; BUFFER_BYTES]);
     loop {
         match file.read(&mut buffer) {
@@ -480,31 +525,6 @@ fn hash_of(path: &Path) -> Result<Option<String>, Error> {
             Err(cause) => return Err(unreadable(cause)),
         };
     }
-}
-
-/// Renames a file; copies it if the target is on another disk.
-fn move_file(from: &Path, to: &Path) -> io::Result<()> {
-    match disk::rename(from, to) {
-        Err(cause) if cause.kind() == io::ErrorKind::CrossesDevices => {
-            let copied = File::open(from).and_then(|mut source| {
-                AtomicFile::write_with(to, |file| io::copy(&mut source, file).map(drop))
-                    .map_err(io::Error::other)
-            });
-            copied.and_then(|()| disk::remove_file(from))
-        }
-        renamed => renamed,
-    }
-}
-
-/// Synchronises a folder and its sub-folders to the disk.
-fn sync_folders(folder: &Path) -> io::Result<()> {
-    for entry in fs::read_dir(folder)? {
-        let entry = entry?;
-        if entry.file_type()?.is_dir() {
-            sync_folders(&entry.path())?;
-        }
-    }
-    disk::sync_folder(folder)
 }
 
 #[cfg(unix)]

@@ -293,7 +293,10 @@ pub fn view(path: &Path) -> Result<PathBuf, Error> {
     let report = if report.is_file() { Some(Report::read(&report)?) } else { None };
     let mut files = Vec::new();
     for name in [RIG, REPORT] {
-        if let Ok(text) = std::fs::read_to_string(path.join(name)) {
+        // What a link leads to would become part of a page that is handed on.
+        let file = path.join(name);
+        let is_file = std::fs::symlink_metadata(&file).is_ok_and(|found| found.is_file());
+        if is_file && let Ok(text) = std::fs::read_to_string(&file) {
             files.push((name, text));
         }
     }

@@ -57,6 +57,12 @@ impl Workspace {
                 return Err(Error::ForeignWorkspace { path: root.to_owned(), found });
             }
         }
+        // The files that are written in place, and not replaced by a transaction.
+        for name in [LOCK, DATABASE].map(|name| root.join(name)) {
+            if fs::symlink_metadata(&name).is_ok_and(|found| found.is_symlink()) {
+                return Err(Error::LinkInFolder { path: name });
+            }
+        }
         let lock = lock(root)?;
         let mut folder = OutputFolder::open(root)?;
         folder.always_ours(&[STAGES]);

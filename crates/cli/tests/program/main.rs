@@ -12,6 +12,8 @@ mod experiment;
 mod faults;
 mod generated;
 mod hostile;
+#[cfg(unix)]
+mod hostile_folders;
 mod model;
 mod names;
 mod onto;

@@ -227,6 +227,137 @@ fn foreign_results_are_kept_and_own_ones_replaced() {
     assert!(!dir.join("drive").exists(), "nothing was begun");
 }
 
+/// The options that name a file or folder to write; all other paths are read. A new option belongs
+/// to one of the two lists, and one that names a file needs a line in [`FILES`].
+const WRITTEN: [&str; 2] = ["output", "save-transform"];
+const READ: [&str; 17] = [
+    "baseline",
+    "by",
+    "calibration",
+    "cloud",
+    "database",
+    "images",
+    "input-model",
+    "inputs",
+    "masks",
+    "model",
+    "models",
+    "positions",
+    "reference",
+    "rig-calibration",
+    "timestamps",
+    "to",
+    "workspace",
+];
+/// The same for COLMAP's options.
+const COLMAP_WRITTEN: [&str; 3] = ["database_path", "output_path", "transform_path"];
+const COLMAP_READ: [&str; 17] = [
+    "ImageReader.camera_mask_path",
+    "ImageReader.mask_path",
+    "Mapper.constant_camera_list_path",
+    "Mapper.constant_rig_list_path",
+    "Mapper.snapshot_path",
+    "SequentialMatching.vocab_tree_path",
+    "VocabTreeMatching.match_list_path",
+    "VocabTreeMatching.vocab_tree_path",
+    "image_list_path",
+    "image_path",
+    "ref_images_path",
+    "ref_model_path",
+    "rig_config_path",
+    "input_path",
+    "input_path1",
+    "input_path2",
+    "path",
+];
+/// Command lines that write the file `<>`.
+const FILES: [&str; 14] = [
+    "export {}/ws --to bal -o <>",
+    "export {}/ws --to ply -o <>",
+    "export {}/ws --to gltf -o <>",
+    "export {}/ws --to kitti -o <>",
+    "export {}/ws --to tum -o <>",
+    "export {}/ws --to kalibr -o <>",
+    "adjust {}/bal.txt -o <>",
+    "model align {}/ws --to {}/ws -o {}/aligned --save-transform <>",
+    "colmap model_converter --input_path {}/model --output_type PLY --output_path <>",
+    "colmap model_aligner --input_path {}/model --output_path {}/al --ref_is_gps 0 \
+     --ref_images_path {}/positions.txt --robust_alignment 0 --transform_path <>",
+    "colmap model_aligner --input_path {}/model --output_path {}/al --alignment_type plane \
+     --transform_path <>",
+    "colmap feature_extractor --image_path {}/photos --database_path <>",
+    "colmap exhaustive_matcher --database_path <>",
+    "colmap mapper --image_path {}/photos --database_path <> --output_path {}/mapped",
+];
+
+#[test]
+fn every_path_of_the_command_line_is_known_as_read_or_written() {
+    for command in tiepoint_cli::commands() {
+        for argument in command.arguments.iter().filter(|argument| argument.is_path) {
+            let name = argument.name.as_str();
+            let lists = [WRITTEN.contains(&name), READ.contains(&name)];
+            assert_eq!(lists.iter().filter(|found| **found).count(), 1, "{name}: {command:?}");
+        }
+    }
+    let verbs = crate::tiepoint(["colmap", "help"]).done().stdout();
+    let verbs = verbs.lines().skip_while(|line| !line.starts_with("Available commands"));
+    let verbs = verbs.filter_map(|line| line.strip_prefix("  "));
+    for verb in verbs.filter(|verb| !["help", "version"].contains(verb)) {
+        let help = crate::tiepoint(["colmap", verb, "-h"]).done().stdout();
+        for line in help.lines().filter_map(|line| line.strip_prefix("  --")) {
+            let name = line.split_whitespace().next().unwrap();
+            // Options of all verbs.
+            if !name.contains("path") || name == "project_path" {
+                continue;
+            }
+            let lists = [COLMAP_WRITTEN.contains(&name), COLMAP_READ.contains(&name)];
+            assert_eq!(lists.iter().filter(|found| **found).count(), 1, "{verb}: {name}");
+        }
+    }
+}
+
+#[test]
+fn no_command_replaces_a_file_that_it_reads_or_did_not_make() {
+    let dir = tempfile::tempdir().unwrap();
+    let dir = dir.path();
+    reconstructed(dir, "photos");
+    tiepoint_in(dir, "export {}/ws --to colmap -o {}/model").done();
+    tiepoint_in(dir, "export {}/ws --to bal -o {}/bal.txt").done();
+    let positions: String = (0..COUNT).map(|i| format!("{i}.png {i} {} 0\n", i * i)).collect();
+    fs::write(dir.join("positions.txt"), positions).unwrap();
+    fs::write(dir.join("mine"), "mine").unwrap();
+    let before = files(dir);
+    for line in FILES {
+        let targets = [
+            "mine",
+            "photos/0.png",
+            "model/points3D.bin",
+            "model/cameras.bin",
+            "positions.txt",
+            "bal.txt",
+            "ws/sparse/0/images.bin",
+        ];
+        for target in targets {
+            let run = tiepoint_in(dir, &line.replace("<>", &format!("{{}}/{target}")));
+            assert!(!run.stderr().contains("panicked"), "{line}: {}", run.stderr());
+            let now = files(dir);
+            let changed = before.iter().find(|(path, bytes)| now.get(*path) != Some(bytes));
+            assert!(changed.is_none(), "{line}: {:?}", changed.map(|(path, _)| path));
+        }
+    }
+    // These photos have neither times nor a rig.
+    let is_possible =
+        |line: &&&str| !["database_path", "tum", "kalibr"].iter().any(|word| line.contains(word));
+    for line in FILES.iter().filter(is_possible) {
+        let new = line.replace("<>", "{}/new");
+        tiepoint_in(dir, &new).done();
+        let first = fs::read(dir.join("new")).unwrap();
+        tiepoint_in(dir, &new).done();
+        assert!(fs::read(dir.join("new")).unwrap() == first, "{line}");
+        fs::remove_file(dir.join("new")).unwrap();
+    }
+}
+
 #[cfg(unix)]
 #[test]
 fn devices_links_and_modes_stay_what_they_are() {

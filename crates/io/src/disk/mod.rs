@@ -8,6 +8,7 @@ pub mod faults;
 #[cfg(all(feature = "faults", feature = "database"))]
 pub(crate) mod faulty_vfs;
 
+mod folder;
 mod operation;
 mod paths;
 
@@ -18,6 +19,7 @@ use std::path::{Path, PathBuf};
 use std::thread;
 use std::time::{Duration, Instant};
 
+pub use folder::Folder;
 pub use operation::Operation;
 pub use paths::folder_of;
 

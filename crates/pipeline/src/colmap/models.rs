@@ -2,7 +2,7 @@
 //! may be input and output at once.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use serde::Serialize;
@@ -13,8 +13,10 @@ use tiepoint_sfm::geometry::{Loss, RansacOptions, Sim3, estimate};
 use tiepoint_sfm::scene::{ImageId, Reconstruction};
 use tiepoint_sfm::{self as sfm, AdjustOptions, RefineIntrinsics, Scope, merge_model};
 
-use super::output::write_model;
+use super::output::{refuse_foreign_model, write_model};
 use crate::adjust::report;
+use crate::export::model_files;
+use crate::output_file::{PLY_MARK, write_file};
 use crate::{AdjustReport, Error, Event, SimilarityInfo, Watch};
 
 /// Standard deviation of the priors of the intrinsics, which COLMAP does not have: none.
@@ -104,7 +106,8 @@ pub struct Aligned {
 ///
 /// # Errors
 ///
-/// An input cannot be read, it does not determine the alignment, or writing fails.
+/// An input cannot be read, it does not determine the alignment, `transform_to` is an input or
+/// another file that this program did not make, or writing fails.
 pub fn align(
     input: &Path,
     to: AlignedTo,
@@ -113,10 +116,12 @@ pub fn align(
 ) -> Result<Aligned, Error> {
     let mut model = read_model(input)?;
     let failed = |what: String| Error::Colmap { path: input.to_owned(), what };
+    let mut inputs = Vec::new();
     let (new_from_old, mean_distance) = match to {
         AlignedTo::Plane => (plane_from_world(&model).map_err(failed)?, None),
         AlignedTo::Positions { path, max_error, min_common_images } => {
             let file = positions::read(path)?;
+            inputs.push(path.to_owned());
             let (from, to): (Vec<Vector3<f64>>, Vec<Vector3<f64>>) = model
                 .registered()
                 .filter_map(|(_, image, pose)| Some((pose.origin_in_a(), *file.get(&image.name)?)))
@@ -129,8 +134,15 @@ pub fn align(
     };
     model.transform(&new_from_old);
     model.validate().map_err(|_| Error::TransformOverflows { path: input.to_owned() })?;
+    // Both results are refused before either is written.
+    refuse_foreign_model(output)?;
     if let Some(file) = transform_to {
-        similarity::write(file, &new_from_old)?;
+        inputs.extend(model_files(input));
+        // The result may be in this folder, too.
+        inputs.extend(model_files(output));
+        write_file(file, inputs.iter().map(PathBuf::as_path), None, |file| {
+            Ok(similarity::write(file, &new_from_old)?)
+        })?;
     }
     write_model(output, &model, Format::Binary)?;
     Ok(Aligned {
@@ -200,13 +212,18 @@ pub fn write_as(input: &Path, output: &Path, format: Format) -> Result<(), Error
     write_model(output, &read_model(input)?, format)
 }
 
-/// Writes the points of a model as a PLY file, which is replaced.
+/// Writes the points of a model as a PLY file. A PLY file of this program is replaced.
 ///
 /// # Errors
 ///
-/// The model cannot be read, or the file written.
+/// The model cannot be read, `output` is an input or another file that this program did not make,
+/// or writing fails.
 pub fn convert_to_ply(input: &Path, output: &Path) -> Result<(), Error> {
-    Ok(ply::write(output, &ply::points(&read_model(input)?))?)
+    let points = ply::points(&read_model(input)?);
+    let inputs = model_files(input);
+    write_file(output, inputs.iter().map(PathBuf::as_path), Some(PLY_MARK), |output| {
+        Ok(ply::write(output, &points)?)
+    })
 }
 
 /// Merges a model into another one, in the frame of the first, and writes the result to `output`.

@@ -67,6 +67,24 @@ pub(super) fn put(
     folder.publish(&staged, &removed).map(drop)
 }
 
+/// Checks that [`write_model`] may write into a folder.
+///
+/// # Errors
+///
+/// The folder is a workspace, or a name of a model's files is not that of a file.
+pub(super) fn refuse_foreign_model(to: &Path) -> Result<(), Error> {
+    if is_workspace(to) {
+        return Err(Error::ModelIntoWorkspace { path: to.to_owned() });
+    }
+    if !to.exists() {
+        return Ok(());
+    }
+    let mut folder = OutputFolder::open(to)?;
+    let names = model_names(None);
+    folder.may_replace(&names);
+    folder.refuse_foreign(names.iter().map(String::as_str))
+}
+
 /// Checks before any work is done that [`put`] may write a model of this program only.
 ///
 /// # Errors
