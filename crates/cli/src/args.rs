@@ -19,10 +19,9 @@ use tiepoint_pipeline::{
 };
 use tiepoint_synth::{Effects, Mounting, RouteKind};
 
-pub(crate) use values::{CropBox, ImageSize, Metres, Quantiles, Refine, rig_name};
+pub(crate) use values::{CropBox, ImageSize, Metres, Quantiles, Refine, rig_name, threads};
 use values::{
-    NumberList, PositivePixels, alignment, camera_model, positive, readout, refine, rig_term,
-    route, threads,
+    NumberList, PositivePixels, alignment, camera_model, positive, readout, refine, rig_term, route,
 };
 
 /// Structure from motion for cameras mounted on one vehicle: photos in, a COLMAP model out.
@@ -569,6 +568,10 @@ pub(crate) struct Export {
     /// The file or folder to write.
     #[arg(short, long = "output", value_name = "PATH")]
     pub(crate) output: PathBuf,
+    /// The folder that the names of the model's images begin in; by default the photos are the
+    /// inputs of the workspace.
+    #[arg(long, value_name = "DIR")]
+    pub(crate) images: Option<PathBuf>,
     /// First adjusts the model with exact rig extrinsics (one sensor_from_rig per camera), whatever
     /// --rig it was mapped with, and writes rigs and frames. Prints the reprojection error before
     /// and after.

@@ -68,6 +68,16 @@ impl<R: Read> Reader<R> {
         self.check_count(count, min_bytes, what)
     }
 
+    /// An empty list with room for `count` items. A sparse file may announce more than memory
+    /// holds, and yet be long enough.
+    pub(crate) fn list<T>(&self, count: usize) -> Result<Vec<T>> {
+        let mut list = Vec::new();
+        match list.try_reserve_exact(count) {
+            Ok(()) => Ok(list),
+            Err(_) => Err(self.error(format!("{count} records are more than memory holds"))),
+        }
+    }
+
     /// The count as `usize`; an error if the rest of the file cannot hold `count` records.
     pub(crate) fn check_count(&self, count: u64, min_bytes: u64, what: &str) -> Result<usize> {
         let left = self.remaining();

@@ -55,8 +55,7 @@ impl DenseMap {
                 "the header says {width} × {height} × {channels} numbers, but {left} bytes follow"
             )));
         };
-        // The file has this number of values, so that it fits memory.
-        let mut values = Vec::with_capacity(count as usize);
+        let mut values = file.list(count as usize)?;
         let mut bytes = vec![0; 1 << 16];
         while values.len() < count as usize {
             let left = 4 * (count as usize - values.len());

@@ -109,8 +109,10 @@ fn camera_arguments(
         "SIMPLE_RADIAL_FISHEYE" => ("fisheye", vec![params[3]], None),
         "RADIAL_FISHEYE" => ("fisheye", params[3..5].to_vec(), None),
         other => {
-            let what =
-                format!("gsplat knows no camera model {other}, which {image} was taken with");
+            let what = format!(
+                "gsplat knows no camera model {other}, which {image} was taken with: \
+                    undistort the images first, which gives PINHOLE cameras"
+            );
             return Err(Error::content(path, what));
         }
     };

@@ -167,7 +167,7 @@ pub fn read(path: &Path) -> Result<Vec<Vertex>> {
         }
     }
     let mut words = Vec::new();
-    let mut vertices = Vec::new();
+    let mut vertices: Vec<Vertex> = Vec::new();
     for element in &elements[..=vertex_index] {
         // In text, a value takes at least two characters.
         let min_bytes: u64 =
@@ -188,7 +188,7 @@ pub fn read(path: &Path) -> Result<Vec<Vertex>> {
         }
         let is_vertex = element.name == "vertex";
         if is_vertex {
-            vertices.reserve_exact(count as usize);
+            vertices = file.list(count as usize)?;
         }
         for _ in 0..count {
             let mut vertex = Vertex { xyz: Vector3::zeros(), color: GREY };

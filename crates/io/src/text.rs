@@ -10,7 +10,7 @@ use tiepoint_geometry::Rigid3;
 use tiepoint_geometry::nalgebra::Vector3;
 
 use crate::excerpt::Excerpt;
-use crate::{Error, Result, rotation};
+use crate::{Error, Result, require_regular_file, rotation};
 
 /// Longest line that is read, in bytes. A line of COLMAP holds all keypoints of an image: 2²⁰ of
 /// them at 64 characters.
@@ -26,6 +26,7 @@ pub(crate) struct Lines {
 
 impl Lines {
     pub(crate) fn open(path: &Path) -> Result<Self> {
+        require_regular_file(path)?;
         let file = File::open(path).map_err(Error::io(path))?;
         Ok(Self {
             inner: BufReader::new(file),

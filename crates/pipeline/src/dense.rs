@@ -69,7 +69,14 @@ pub fn dense(
     let start = Instant::now();
     let folder = workspace.root().join(model_path(0));
     let model = read_model(&folder)?;
-    let photos = photos_of(workspace.root(), &model)?;
+    let photos = photos_of(workspace.root(), None, &model)?;
+    // First of all, as the size of a camera decides how long its undistortion takes, and before old
+    // results are removed, which bad photos would not replace.
+    for (image, photo) in &photos {
+        let camera = model.camera(image.camera);
+        Rgb::check_size(photo, camera.width, camera.height)?;
+        masks.as_ref().map_or(Ok(()), |masks| masks.check(&image.name))?;
+    }
     let undistort =
         UndistortOptions { max_image_size: options.max_image_size, ..UndistortOptions::default() };
     let undistorted = undistort_model(&model, &undistort)
@@ -79,12 +86,6 @@ pub fn dense(
         return Err(Error::NothingDense { path: folder, images: problems.len() });
     }
     if progress == Progress::Begin {
-        // Before old results are removed, which bad photos would not replace.
-        for (image, photo) in &photos {
-            let camera = model.camera(image.camera);
-            Rgb::check_size(photo, camera.width, camera.height)?;
-            masks.as_ref().map_or(Ok(()), |masks| masks.check(&image.name))?;
-        }
         remove_old_results(workspace, &undistorted)?;
     } else {
         // The record of a complete stage whose files are gone says so until here.

@@ -567,6 +567,15 @@ pub enum Error {
         /// The file.
         path: PathBuf,
     },
+    /// A photo that EXIF turns lies where an export would put an upright copy.
+    #[error(
+        "{path} is stored turned and has an EXIF orientation, which readers of this format ignore: \
+        give another folder with -o, which gets upright copies"
+    )]
+    TurnedInPlace {
+        /// The photo.
+        path: PathBuf,
+    },
     /// A model would be written among the files of a workspace.
     #[error("{path} is a workspace, which has its models in sparse: give another folder")]
     ModelIntoWorkspace {

@@ -13,7 +13,7 @@ use tiepoint_io::colmap::{Format, read_model};
 use tiepoint_io::disk::{self, FileId};
 use tiepoint_io::nerfstudio::{self, Motion};
 use tiepoint_io::trajectory::{self, TimedPose};
-use tiepoint_io::{AtomicFile, gltf, gsplat, openmvs, ply, timestamps};
+use tiepoint_io::{AtomicFile, Exif, Rgb, gltf, gsplat, openmvs, ply, timestamps};
 use tiepoint_sfm::geometry::Rigid3;
 use tiepoint_sfm::scene::{Image, ImageId, Reconstruction};
 
@@ -28,7 +28,7 @@ use crate::ordered::for_each_within_budget;
 use crate::output_file::{COMMENT_MARK, GLTF_MARK, LAS_MARK, PLY_MARK, write_file};
 use crate::output_folder::{OutputFolder, model_names, output};
 use crate::rigid::{RigidReport, rigid_model};
-use crate::workspace::{REPORT, is_workspace};
+use crate::workspace::{REPORT, is_workspace, refuse_workspace};
 use crate::{Error, Report, rolling_shutter};
 
 /// An export format.
@@ -106,16 +106,26 @@ pub struct Exported {
     pub rigid: Option<RigidReport>,
 }
 
-/// Writes a model (a folder or a workspace) to `to` in another format.
+/// What an export reads.
+#[derive(Clone, Copy, Debug)]
+pub struct ExportSource<'a> {
+    /// A folder with a COLMAP model, or a workspace.
+    pub model: &'a Path,
+    /// The folder that the names of the model's images begin in; `None`: the photos are the inputs
+    /// of the workspace that the model is in.
+    pub images: Option<&'a Path>,
+}
+
+/// Writes a model to `to` in another format.
 ///
 /// # Errors
 ///
 /// The model or its photos cannot be read, the model lacks data that the format needs (capture
 /// times, rig extrinsics, photos), or the result cannot be written.
-pub fn export(from: &Path, format: ExportFormat, to: &Path) -> Result<Exported, Error> {
+pub fn export(from: &ExportSource, format: ExportFormat, to: &Path) -> Result<Exported, Error> {
     // Its files are read only by the formats that have it.
-    let dense = dense_cloud(from);
-    write_as(from, &read_model(&model_folder(from)?)?, dense.as_deref(), format, to)
+    let dense = dense_cloud(from.model);
+    write_as(from, &read_model(&model_folder(from.model)?)?, dense.as_deref(), format, to)
 }
 
 /// Adjusts a model with exact rig extrinsics (one `cam_from_rig` per camera), whatever constraint
@@ -125,11 +135,15 @@ pub fn export(from: &Path, format: ExportFormat, to: &Path) -> Result<Exported, 
 /// # Errors
 ///
 /// Those of [`export`]; no two cameras have poses at common frames; the format has no poses.
-pub fn export_rigid(from: &Path, format: ExportFormat, to: &Path) -> Result<Exported, Error> {
+pub fn export_rigid(
+    from: &ExportSource,
+    format: ExportFormat,
+    to: &Path,
+) -> Result<Exported, Error> {
     if matches!(format, ExportFormat::Kalibr | ExportFormat::Las) {
         return Err(Error::NoPoses { path: to.to_owned() });
     }
-    let (model, rigid) = rigid_model(from)?;
+    let (model, rigid) = rigid_model(from.model)?;
     Ok(Exported { rigid: Some(rigid), ..write_as(from, &model, None, format, to)? })
 }
 
@@ -139,21 +153,25 @@ pub fn export_rigid(from: &Path, format: ExportFormat, to: &Path) -> Result<Expo
 /// # Errors
 ///
 /// Those of [`export`]; the model is in no workspace with the database of its keypoints.
-pub fn export_detected(from: &Path, format: ExportFormat, to: &Path) -> Result<Exported, Error> {
-    let folder = model_folder(from)?;
+pub fn export_detected(
+    from: &ExportSource,
+    format: ExportFormat,
+    to: &Path,
+) -> Result<Exported, Error> {
+    let folder = model_folder(from.model)?;
     let mut model = read_model(&folder)?;
     rolling_shutter::restore_detected_keypoints(&folder, &mut model)?;
-    write_as(from, &model, dense_cloud(from).as_deref(), format, to)
+    write_as(from, &model, dense_cloud(from.model).as_deref(), format, to)
 }
 
 fn write_as(
-    from: &Path,
+    from: &ExportSource,
     model: &Reconstruction,
     dense: Option<&Path>,
     format: ExportFormat,
     to: &Path,
 ) -> Result<Exported, Error> {
-    let folder = model_folder(from)?;
+    let folder = model_folder(from.model)?;
     let (mut poses, mut points, mut in_place) = (model.num_registered(), model.num_tracks(), 0);
     let inputs = model_files(&folder);
     let file = |mark, write: &dyn Fn(&Path) -> Result<(), Error>| {
@@ -190,7 +208,7 @@ fn write_as(
             poses = 0;
         }
         ExportFormat::Las => {
-            let cloud = dense.ok_or_else(|| Error::NoDenseCloud { path: from.to_owned() })?;
+            let cloud = dense.ok_or_else(|| Error::NoDenseCloud { path: from.model.to_owned() })?;
             write_file(to, [cloud], Some(LAS_MARK), |to| {
                 points = write_las(cloud, to)?;
                 Ok(())
@@ -259,9 +277,6 @@ fn write_las(_: &Path, to: &Path) -> Result<usize, Error> {
 /// The folder is a workspace, a file of a model exists in it that is not this program's, or writing
 /// fails.
 pub fn write_model(to: &Path, model: &Reconstruction, format: Format) -> Result<(), Error> {
-    if is_workspace(to) {
-        return Err(Error::ModelIntoWorkspace { path: to.to_owned() });
-    }
     write_colmap(to, model, format, &[])
 }
 
@@ -279,6 +294,7 @@ fn model_output(to: &Path, inputs: &[PathBuf]) -> Result<OutputFolder, Error> {
     let mut folder = OutputFolder::open(to)?;
     folder.protect(inputs.iter().map(PathBuf::as_path));
     folder.refuse_foreign(model_names(None).iter().map(String::as_str))?;
+    refuse_workspace(to)?;
     Ok(folder)
 }
 
@@ -301,6 +317,20 @@ pub(crate) fn write_colmap(
     folder.publish(&staged, &removed).map(drop)
 }
 
+/// Refuses to write `to/sparse/0` where that would hide the model that is read: commands look there
+/// first.
+///
+/// # Errors
+///
+/// `to` is the folder of the model or the one that the caller named.
+pub(crate) fn refuse_shadow(from: &Path, model_folder: &Path, to: &Path) -> Result<(), Error> {
+    let there = FileId::of(to);
+    match there.is_some() && [from, model_folder].map(FileId::of).contains(&there) {
+        true => Err(Error::IsInput { path: to.to_owned() }),
+        false => Ok(()),
+    }
+}
+
 /// Paths of all files that a COLMAP model in a folder may have.
 pub(crate) fn model_files(folder: &Path) -> Vec<PathBuf> {
     model_names(None).iter().map(|name| folder.join(name)).collect()
@@ -314,21 +344,21 @@ fn image_name(image: &Image) -> String {
 }
 
 /// Writes `scene.mvs` and undistorted images: OpenMVS supports pinhole cameras only.
-fn export_openmvs(from: &Path, model: &Reconstruction, to: &Path) -> Result<(), Error> {
+fn export_openmvs(from: &ExportSource, model: &Reconstruction, to: &Path) -> Result<(), Error> {
     const SCENE: &str = "scene.mvs";
     let is_spherical =
         |image: &Image| model.camera(image.camera).intrinsics.kind().focal_indices().is_empty();
     if let Some((_, image, _)) = model.registered().find(|(_, image, _)| is_spherical(image)) {
         return Err(Error::NoImagePlane { image: image.name.clone() });
     }
-    let photos = photos_of(from, model)?;
+    let photos = photos_of(from.model, from.images, model)?;
     let mut folder = OutputFolder::open(to)?;
     folder.protect(photos.iter().map(|(_, path)| path.as_path()));
     let mut names: Vec<String> = photos.iter().map(|(image, _)| image_name(image)).collect();
     names.push(SCENE.to_owned());
     folder.refuse_foreign(names.iter().map(String::as_str))?;
     let undistorted = undistort_model(model, &UndistortOptions::default())
-        .map_err(|cause| Error::Dense { path: from.to_owned(), cause })?;
+        .map_err(|cause| Error::Dense { path: from.model.to_owned(), cause })?;
     let write = |(image, path): &(&Image, PathBuf)| -> Result<(), Error> {
         let (old, new) = (model.camera(image.camera), undistorted.camera(image.camera));
         let target = folder.stage(&image_name(image))?;
@@ -345,7 +375,7 @@ fn export_openmvs(from: &Path, model: &Reconstruction, to: &Path) -> Result<(), 
 /// With motions, `transforms.json` has the keys of 3dgs-deblur. Photos that are in their places
 /// already are not copied; returns their number.
 fn export_nerfstudio(
-    from: &Path,
+    from: &ExportSource,
     model: &Reconstruction,
     to: &Path,
     motions: &BTreeMap<ImageId, Motion>,
@@ -369,16 +399,15 @@ fn export_nerfstudio(
 /// Writes `rolling_shutter.json`, the model with the detected keypoints, which are those of the
 /// photos, and copies of the photos. Returns as [`export_nerfstudio`].
 fn export_gsplat(
-    from: &Path,
+    from: &ExportSource,
     model_folder: &Path,
     model: &Reconstruction,
     to: &Path,
 ) -> Result<usize, Error> {
     const SPARSE: &str = "sparse/0";
     const ROWS: &str = "rolling_shutter.json";
-    if is_workspace(to) {
-        return Err(Error::ModelIntoWorkspace { path: to.to_owned() });
-    }
+    refuse_workspace(to)?;
+    refuse_shadow(from.model, model_folder, to)?;
     let mut model = model.clone();
     let motions = rolling_shutter::motions(model_folder, &mut model)?;
     let rows = rolling_shutter::for_gsplat(&model, &motions);
@@ -398,28 +427,43 @@ fn export_gsplat(
 /// Writes copies of the photos, and files that `write` stages and names. `names`: all that it may
 /// write. Photos that are in their places already are not copied; returns their number.
 fn with_photos(
-    from: &Path,
+    from: &ExportSource,
     model: &Reconstruction,
     to: &Path,
     names: &[String],
     inputs: &[PathBuf],
     write: impl FnOnce(&OutputFolder) -> Result<Vec<String>, Error>,
 ) -> Result<usize, Error> {
-    let photos = photos_of(from, model)?;
+    let photos = photos_of(from.model, from.images, model)?;
+    photos.par_iter().try_for_each(|(image, path)| {
+        let camera = model.camera(image.camera);
+        Rgb::check_size(path, camera.width, camera.height)
+    })?;
+    // Readers of these formats take the pixels as they are stored.
+    let is_turned = |path: &Path| Exif::read(path).is_ok_and(|exif| exif.orientation > 1);
     let mut folder = OutputFolder::open(to)?;
     let is_in_place = |image: &Image, path: &Path| {
         let there = FileId::of(&to.join(image_name(image)));
         there.is_some() && there == FileId::of(path)
     };
+    let turned = |(image, path): &&(&Image, PathBuf)| is_in_place(image, path) && is_turned(path);
+    if let Some((_, path)) = photos.iter().find(turned) {
+        return Err(Error::TurnedInPlace { path: path.clone() });
+    }
     let copied: Vec<&(&Image, PathBuf)> =
         photos.iter().filter(|(image, path)| !is_in_place(image, path)).collect();
     folder.protect(photos.iter().map(|(_, path)| path.as_path()));
     folder.protect(inputs.iter().map(PathBuf::as_path));
     folder.refuse_foreign(names.iter().map(String::as_str))?;
-    copied.par_iter().try_for_each(|(image, path)| {
+    let copy = |(image, path): &&(&Image, PathBuf)| -> Result<(), Error> {
         let target = folder.stage(&image_name(image))?;
+        if is_turned(path) {
+            return Ok(Rgb::read(path)?.write(&target)?);
+        }
         disk::copy_new(path, &target).map_err(output(&to.join(image_name(image))))
-    })?;
+    };
+    let bytes = |(image, _): &&(&Image, PathBuf)| decoder_bytes(model.camera(image.camera));
+    for_each_within_budget(budget_bytes(), bytes, &copied, copy, |_, copied| copied)?;
     let mut staged: Vec<String> = copied.iter().map(|(image, _)| image_name(image)).collect();
     staged.extend(write(&folder)?);
     folder.publish(&staged, &[])?;

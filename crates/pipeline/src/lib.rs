@@ -73,7 +73,9 @@ pub use evaluate::{
 };
 pub(crate) use event::emit;
 pub use event::{DenseStep, Event, Watch};
-pub use export::{ExportFormat, Exported, export, export_detected, export_rigid, write_model};
+pub use export::{
+    ExportFormat, ExportSource, Exported, export, export_detected, export_rigid, write_model,
+};
 pub use features::{FeatureOptions, extract_features};
 pub use foreign_database::import_features;
 pub use grouping::CameraGrouping;

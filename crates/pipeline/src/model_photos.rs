@@ -127,16 +127,21 @@ impl ModelPhotos {
     }
 }
 
-/// The registered images of a model in a workspace, with the files of their photos.
+/// The registered images of a model, with the files of their photos: below the folder `images`, or
+/// the inputs of the workspace that the model is in.
 ///
 /// # Errors
 ///
-/// Those of [`ModelPhotos::of_workspace`].
+/// Those of [`ModelPhotos::below`] and [`ModelPhotos::of_workspace`].
 pub(crate) fn photos_of<'a>(
     from: &Path,
+    images: Option<&Path>,
     model: &'a Reconstruction,
 ) -> Result<Vec<(&'a Image, PathBuf)>, Error> {
-    let photos = ModelPhotos::of_workspace(from, model, None)?;
+    let photos = match images {
+        Some(images) => ModelPhotos::below(images, model, None)?,
+        None => ModelPhotos::of_workspace(from, model, None)?,
+    };
     let photo = |image: &'a Image| (image, photos.path(&image.name).to_owned());
     Ok(model.registered().map(|(_, image, _)| photo(image)).collect())
 }

@@ -15,6 +15,7 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 use tiepoint_io::database::StageRow;
+use tiepoint_io::require_regular_file;
 
 use crate::camera_facts::FOUND;
 use crate::option_keys::{NONE, difference, shown};
@@ -175,6 +176,7 @@ impl Records {
     /// The file cannot be read or is damaged.
     pub(crate) fn read(path: &Path) -> Result<Option<Self>, Error> {
         let broken = |what: String| Error::BrokenRecord { path: path.to_owned(), what };
+        require_regular_file(path)?;
         let text = match std::fs::read(path) {
             Err(cause) if cause.kind() == std::io::ErrorKind::NotFound => return Ok(None),
             Err(cause) => return Err(Error::Unreadable { path: path.to_owned(), cause }),

@@ -4,6 +4,8 @@ use serde::{Deserialize, Serialize};
 use tiepoint_sfm::RollingShutter;
 use tiepoint_sfm::scene::{Camera, CameraId, Reconstruction};
 
+use tiepoint_io::require_regular_file;
+
 use crate::file_names::DENSE_CLOUD;
 use crate::{Error, RigReport, ScaleReport, Stage};
 
@@ -221,6 +223,7 @@ impl Report {
     ///
     /// The file cannot be read or is damaged.
     pub(crate) fn read(path: &Path) -> Result<Self, Error> {
+        require_regular_file(path)?;
         match std::fs::read(path) {
             Err(cause) if cause.kind() == std::io::ErrorKind::NotFound => {
                 Ok(Self { version: env!("CARGO_PKG_VERSION").to_owned(), ..Self::default() })

@@ -13,13 +13,13 @@ use tiepoint_io::{Exif, Luma, disk};
 use tiepoint_sfm::scene::{Image, Reconstruction};
 
 use crate::colors::decoder_bytes;
-use crate::export::model_files;
+use crate::export::{model_files, refuse_shadow};
 use crate::memory::budget_bytes;
 use crate::model_photos::{ModelPhotos, undistorted_mask};
 use crate::ordered::for_each_within_budget;
 use crate::output_folder::{OutputFolder, model_names, output as output_error};
 use crate::rolling_shutter::restore_detected_keypoints;
-use crate::workspace::is_workspace;
+use crate::workspace::refuse_workspace;
 use crate::{Error, Event, Watch, emit, model_folder};
 
 /// Folders that COLMAP's `patch_match_stereo` writes into and does not create.
@@ -105,7 +105,7 @@ pub fn undistort(
         restore_detected_keypoints(&folder, &mut model)?;
     }
     let dense_error = |cause| Error::Dense { path: folder.clone(), cause };
-    let undistorted = undistort_model(&model, &options.camera).map_err(dense_error)?;
+    options.camera.validate().map_err(dense_error)?;
     for (_, image, _) in model.registered() {
         if is_too_wide_for_pinhole(model.camera(image.camera)) {
             return Err(Error::TooWide { image: image.name.clone() });
@@ -119,10 +119,11 @@ pub fn undistort(
     // COLMAP does not turn photos, so that the cameras of its models have the stored size.
     let is_stored = options.layout == UndistortLayout::Colmap;
     let photos = if is_stored { photos.with_stored_pixels() } else { photos };
+    // First of all, as the size of a camera decides how long its undistortion takes.
     photos.check_sizes(&model)?;
-    if is_workspace(to) {
-        return Err(Error::ModelIntoWorkspace { path: to.to_owned() });
-    }
+    refuse_workspace(to)?;
+    refuse_shadow(from, &folder, to)?;
+    let undistorted = undistort_model(&model, &options.camera).map_err(dense_error)?;
     let mut output = OutputFolder::open(to)?;
     let inputs = model_files(&folder);
     output.protect(inputs.iter().map(PathBuf::as_path).chain(photos.files(&model)));

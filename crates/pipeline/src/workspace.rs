@@ -1,7 +1,8 @@
 //! The workspace: a folder with a COLMAP project and a few files of this program.
 
+use std::ffi::OsStr;
 use std::fs::{self, File, OpenOptions, TryLockError};
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 use std::time::Instant;
 
 use tiepoint_io::database::{Database, read_stage_rows};
@@ -22,14 +23,29 @@ pub struct Workspace {
 }
 
 const LOCK: &str = ".lock";
+/// Folders above a result of a workspace: `dense/stereo/depth_maps/NAME` is the deepest.
+const MAX_RESULT_DEPTH: usize = 8;
 pub(crate) const STAGES: &str = "stages.json";
 pub(crate) const REPORT: &str = "report.json";
 pub(crate) const POINTS: &str = "points.ply";
 pub(crate) const TIMESTAMPS: &str = "timestamps.csv";
 pub(crate) const DATABASE: &str = "database.db";
 /// Names of files in a workspace. A folder that has one of them cannot become a workspace.
-const RESERVED: [&str; 10] =
-    [STAGES, DATABASE, SPARSE, "frames", REPORT, RIG, POINTS, TIMESTAMPS, "report.html", DENSE];
+const RESERVED: [&str; 13] = [
+    STAGES,
+    DATABASE,
+    "database.db-wal",
+    "database.db-shm",
+    "database.db-journal",
+    SPARSE,
+    "frames",
+    REPORT,
+    RIG,
+    POINTS,
+    TIMESTAMPS,
+    "report.html",
+    DENSE,
+];
 /// Files of workspaces of an earlier version, which had no manifest.
 const FILES_WITHOUT_MANIFEST: [&str; 4] = [REPORT, RIG, POINTS, TIMESTAMPS];
 
@@ -337,6 +353,33 @@ pub(crate) fn is_workspace(root: &Path) -> bool {
     let has_records = || !matches!(read_stage_rows(&database), Ok(None));
     root.join(STAGES).is_file()
         || OutputFolder::is_ours(root) && database.is_file() && has_records()
+}
+
+/// Refuses an output folder that is a workspace, or lies where a workspace has its results: its
+/// records would no longer be true.
+///
+/// # Errors
+///
+/// [`Error::ModelIntoWorkspace`] with the workspace.
+pub(crate) fn refuse_workspace(to: &Path) -> Result<(), Error> {
+    // The folder and some of those above it need not exist yet.
+    let path = std::path::absolute(to).map_err(output(to))?;
+    let existing = path.ancestors().find_map(|path| path.canonicalize().ok());
+    for root in existing.iter().flat_map(|path| path.ancestors()).take(MAX_RESULT_DEPTH) {
+        if is_workspace(root) {
+            let inner =
+                path.ancestors().find(|path| path.canonicalize().is_ok_and(|it| it == root));
+            let inner = inner.and_then(|inner| path.strip_prefix(inner).ok());
+            let first = inner.and_then(|inner| inner.components().next());
+            let is_result = |part: Component| {
+                [SPARSE, DENSE, "frames"].map(OsStr::new).contains(&part.as_os_str())
+            };
+            if first.is_none_or(is_result) {
+                return Err(Error::ModelIntoWorkspace { path: root.to_owned() });
+            }
+        }
+    }
+    Ok(())
 }
 
 /// The records of a workspace, from `stages.json` and the database. Writes nothing.

@@ -98,7 +98,7 @@ impl FromStr for Quantiles {
 
 const MAX_THREADS: usize = 1024;
 
-pub(super) fn threads(text: &str) -> Result<NonZeroUsize, String> {
+pub(crate) fn threads(text: &str) -> Result<NonZeroUsize, String> {
     let count = text.parse().ok().filter(|count: &NonZeroUsize| count.get() <= MAX_THREADS);
     count.ok_or_else(|| format!("expected a number of threads from 1 to {MAX_THREADS}"))
 }

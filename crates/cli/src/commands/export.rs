@@ -1,6 +1,8 @@
 //! `export`.
 
-use tiepoint_pipeline::{Exported, export as export_model, export_detected, export_rigid};
+use tiepoint_pipeline::{
+    ExportSource, Exported, export as export_model, export_detected, export_rigid,
+};
 
 use crate::args::Export;
 use crate::failure::Failure;
@@ -13,7 +15,8 @@ pub(crate) fn export(args: &Export, output: &Output) -> Result<(), Failure> {
         (false, true) => export_detected,
         (false, false) => export_model,
     };
-    let exported = write(&args.workspace, args.to, &args.output)?;
+    let source = ExportSource { model: &args.workspace, images: args.images.as_deref() };
+    let exported = write(&source, args.to, &args.output)?;
     output.result(&exported, || describe(&exported))
 }
 

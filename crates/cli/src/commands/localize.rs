@@ -23,7 +23,16 @@ pub(crate) fn localize(args: &Localize, output: &Output) -> Result<(), Failure> 
             progress.watch(event)
         })?;
     drop(progress);
-    output.result(&report, || describe(&report))
+    output.result(&report, || describe(&report))?;
+    if report.localized > 0 {
+        return Ok(());
+    }
+    Err(Failure::CouldNot(format!(
+        "none of the {} photos has a pose in {}: give photos of the same place, taken with similar \
+        light, whose size and masks fit",
+        report.photos.len(),
+        args.model.display()
+    )))
 }
 
 fn describe(report: &LocalizeReport) -> String {

@@ -5,7 +5,7 @@
 //! drive in a folder.
 
 use std::fs;
-use std::io::{ErrorKind, Write};
+use std::io::{self, ErrorKind, Write};
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 
@@ -13,7 +13,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 use tiepoint_pipeline::eval::geometry::nalgebra::{Vector2, Vector3};
 use tiepoint_pipeline::io::colmap::{Format, write_model};
-use tiepoint_pipeline::io::disk::create_folders;
+use tiepoint_pipeline::io::disk::{create_folders, temporary_path};
 use tiepoint_pipeline::io::{AtomicFile, DenseMap};
 use tiepoint_synth::{
     Drive, DriveOptions, Exposure, LidarOptions, Mount, reference_cloud, write_ply,
@@ -237,8 +237,13 @@ pub(crate) fn claim(
         Err(cause) => return Err(cannot(&path, "read", cause)),
     }
     create_folders(folder).map_err(|cause| cannot(folder, "write", cause))?;
-    let mut entries = fs::read_dir(folder).map_err(|cause| cannot(folder, "read", cause))?;
-    if entries.next().is_some() {
+    let entries = fs::read_dir(folder).map_err(|cause| cannot(folder, "read", cause))?;
+    // What a run that was killed while it wrote the record leaves.
+    let left = temporary_path(&path);
+    let is_left = |entry: &io::Result<fs::DirEntry>| {
+        entry.as_ref().is_ok_and(|entry| Some(entry.file_name().as_os_str()) == left.file_name())
+    };
+    if entries.into_iter().any(|entry| !is_left(&entry)) {
         let folder = folder.display();
         return Err(Failure::CouldNot(format!(
             "{folder} is not empty and does not hold {contents} of this program: choose another \

@@ -174,3 +174,58 @@ fn photos_held_upside_down_are_another_camera_with_the_calibration_turned() {
         }
     }
 }
+
+/// Largest mean difference of an image that is encoded anew as JPEG, in grey levels: 1 was measured,
+/// of an image turned by 180° 40.
+const MAX_JPEG_DIFFERENCE: f64 = 4.0;
+
+#[test]
+fn exports_have_the_pixels_that_the_model_is_of() {
+    let dir = tempfile::tempdir().unwrap();
+    let dir = dir.path();
+    let photo = |index: usize| dir.join(format!("proj/images/{index}.jpg"));
+    fs::create_dir_all(dir.join("proj/images")).unwrap();
+    for index in 0..4 {
+        fs::write(photo(index), jpeg(index, index % 2 == 1)).unwrap();
+    }
+    tiepoint_in(dir, "reconstruct {}/proj/images -o {}/ws --cameras single").done();
+    let upright = |path: &Path, index: usize| {
+        let (found, expected) = (image::open(path).unwrap().into_luma8(), photos::photo(index, 0));
+        assert_eq!(found.dimensions(), expected.dimensions());
+        let differences = found.iter().zip(expected.iter()).map(|(a, b)| f64::from(a.abs_diff(*b)));
+        let mean = differences.sum::<f64>() / found.len() as f64;
+        assert!(mean < MAX_JPEG_DIFFERENCE, "{}: {mean}", path.display());
+    };
+    tiepoint_in(dir, "export {}/ws --to nerfstudio -o {}/nerf").done();
+    for index in 0..4 {
+        // `image` ignores EXIF, as nerfstudio does.
+        upright(&dir.join(format!("nerf/images/{index}.jpg")), index);
+    }
+    // Photos that need no turning are copied.
+    assert!(fs::read(dir.join("nerf/images/0.jpg")).unwrap() == fs::read(photo(0)).unwrap());
+    // Photos in their places are not changed.
+    tiepoint_in(dir, "export {}/ws --to nerfstudio -o {}/proj")
+        .failed(1, &["images/1.jpg is stored turned", "another folder"]);
+    assert!(fs::read(photo(1)).unwrap() == jpeg(1, true));
+    // A model in no workspace names its photos.
+    fs::create_dir(dir.join("model")).unwrap();
+    for name in ["cameras", "images", "points3D"] {
+        let file = format!("{name}.bin");
+        fs::copy(dir.join("ws/sparse/0").join(&file), dir.join("model").join(&file)).unwrap();
+    }
+    let line = "export {}/model --to nerfstudio -o {}/out";
+    tiepoint_in(dir, line).failed(1, &["--images"]);
+    tiepoint_in(dir, &format!("{line} --images {{}}/proj/images")).done();
+    upright(&dir.join("out/images/3.jpg"), 3);
+    // Photos that were replaced since.
+    let mut small = Vec::new();
+    let resized = imageops::resize(&photos::photo(2, 0), 200, 150, imageops::FilterType::Nearest);
+    JpegEncoder::new(&mut small).encode_image(&resized).unwrap();
+    for bytes in [small, Vec::new(), b"hello".to_vec()] {
+        fs::write(photo(2), bytes).unwrap();
+        for format in ["nerfstudio", "openmvs"] {
+            let line = format!("export {{}}/ws --to {format} -o {{}}/changed-{format}");
+            tiepoint_in(dir, &line).failed(1, &["2.jpg"]);
+        }
+    }
+}

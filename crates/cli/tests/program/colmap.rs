@@ -331,3 +331,72 @@ fn a_model_of_another_program_is_not_replaced_by_the_mapper() {
     let line = "exhaustive_matcher --database_path {}/ws/database.db";
     colmap(dir.path(), line).failed(1, &["ws/database.db", "tiepoint match"]);
 }
+
+#[test]
+fn results_of_a_workspace_are_no_output_folder() {
+    let dir = copy();
+    let dir = dir.path();
+    tiepoint_in(dir, "reconstruct {}/input -o {}/ws").done();
+    let model = "--input_path {}/distorted/sparse/0";
+    let database = "--database_path {}/distorted/database.db --image_path {}/input";
+    for line in [
+        format!("bundle_adjuster {model} --output_path {{}}/ws/sparse/0"),
+        format!("model_aligner {model} --alignment_type plane --output_path {{}}/ws/sparse/0"),
+        format!("model_converter {model} --output_type TXT --output_path {{}}/ws/sparse/0"),
+        format!("mapper {database} --output_path {{}}/ws/sparse"),
+        format!("mapper {database} {model} --output_path {{}}/ws/sparse/7"),
+        format!("point_triangulator {database} {model} --output_path {{}}/ws/sparse/0"),
+        format!("image_undistorter --image_path {{}}/input {model} --output_path {{}}/ws/dense"),
+    ] {
+        colmap(dir, &line).failed(1, &["ws is a workspace", "another folder"]);
+    }
+    for line in [
+        "adjust {}/distorted/sparse/0 -o {}/ws",
+        "export {}/ws --to colmap -o {}/ws",
+        "model crop {}/ws --quantiles 0.1,0.9 -o {}/ws",
+    ] {
+        tiepoint_in(dir, line).failed(1, &["ws is a workspace"]);
+    }
+    for line in [
+        "undistort {}/distorted/sparse/0 --images {}/input -o {}/distorted/sparse/0",
+        "undistort {}/distorted/sparse/0/ --images {}/input -o {}/distorted/../distorted/sparse/0",
+    ] {
+        tiepoint_in(dir, line).failed(1, &["sparse/0 is read by this command"]);
+    }
+    // The records are true.
+    tiepoint_in(dir, "map {}/ws").done();
+    // A folder of one's own in a workspace is none of its results.
+    colmap(dir, &format!("bundle_adjuster {model} --output_path {{}}/ws/mine")).done();
+}
+
+#[test]
+fn models_of_a_mapper_are_replaced_together() {
+    let dir = tempfile::tempdir().unwrap();
+    let dir = dir.path();
+    // Photos of two rooms: two models.
+    photos::write(&dir.join("photos/a"), 4, 0);
+    photos::write(&dir.join("photos/b"), 4, 77);
+    let database = "--database_path {}/x.db";
+    colmap(dir, &format!("feature_extractor {database} --image_path {{}}/photos")).done();
+    colmap(dir, &format!("exhaustive_matcher {database}")).done();
+    let mapper = format!(
+        "mapper {database} --image_path {{}}/photos --output_path {{}}/out \
+         --Mapper.min_model_size 3"
+    );
+    colmap(dir, &mapper).done();
+    let bytes = |name: &str| fs::read(dir.join("out").join(name)).ok();
+    let second = bytes("1/images.bin").expect("two models");
+    // A model that is not there any more is removed, one that was adjusted in place is replaced.
+    let adjust = "bundle_adjuster --input_path {}/out/0 --output_path {}/out/0";
+    colmap(dir, adjust).done();
+    colmap(dir, &format!("{mapper} --Mapper.max_num_models 1")).done();
+    assert!(bytes("0/images.bin").is_some() && bytes("1/images.bin").is_none());
+    colmap(dir, &mapper).done();
+    assert_eq!(bytes("1/images.bin").as_ref(), Some(&second));
+    // A foreign model is refused before the work, whatever its number.
+    fs::write(dir.join("out/1/points3D.bin"), "theirs").unwrap();
+    let first = bytes("0/images.bin");
+    colmap(dir, &format!("{mapper} --Mapper.ba_refine_focal_length 0"))
+        .failed(1, &["out/1/points3D.bin", "did not make it"]);
+    assert_eq!((bytes("0/images.bin"), bytes("1/images.bin")), (first, Some(second)));
+}

@@ -184,7 +184,7 @@ fn dense_names_what_is_missing() {
     tiepoint_in(dir, "dense {}/ws").failed(1, &["fused.ply", "did not make it"]);
     assert_eq!(fs::read(dir.join("ws/dense/fused.ply")).unwrap(), b"theirs");
     fs::remove_dir_all(dir.join("ws/dense")).unwrap();
-    // One image, then images of one pixel: no depth maps.
+    // One image, then cameras of one pixel, which the photos are not of.
     let sparse = dir.join("ws/sparse/0");
     let model = read_model(&sparse).unwrap();
     let mut changed = model.clone();
@@ -200,7 +200,7 @@ fn dense_names_what_is_missing() {
         (camera.width, camera.height) = (1, 1);
     }
     write_model(&sparse, &changed, Format::Binary).unwrap();
-    tiepoint_in(dir, "dense {}/ws").failed(1, &["no two of the 5", "depth map"]);
+    tiepoint_in(dir, "dense {}/ws").failed(1, &["photos/0.png", "320 × 240", "1 × 1"]);
     write_model(&sparse, &model, Format::Binary).unwrap();
     // A folder without masks, and a mask of another size.
     fs::create_dir_all(dir.join("masks")).unwrap();

@@ -18,8 +18,8 @@ use tiepoint_io::disk::faults::{Faults, Kind};
 use tiepoint_pipeline::sfm::MapperOptions;
 use tiepoint_pipeline::sfm::geometry::{CameraModelKind, Rng};
 use tiepoint_pipeline::{
-    Calibration, DenseOptions, Error, ExportFormat, FeatureOptions, MapOptions, MatchOptions,
-    Options, Stage, Workspace, adjust, dense, export, reconstruct, view,
+    Calibration, DenseOptions, Error, ExportFormat, ExportSource, FeatureOptions, MapOptions,
+    MatchOptions, Options, Stage, Workspace, adjust, dense, export, reconstruct, view,
 };
 
 use crate::photos;
@@ -92,7 +92,8 @@ impl Command {
         let watch = &mut |_: &tiepoint_pipeline::Event| ControlFlow::Continue(());
         match self {
             Self::Export(format, name) => {
-                export(&ws, format, &dir.join("out").join(name)).map(drop)
+                let source = ExportSource { model: &ws, images: None };
+                export(&source, format, &dir.join("out").join(name)).map(drop)
             }
             Self::Adjust => adjust(&ws, Some(&dir.join("out")), false, watch).map(drop),
             Self::View => view(&ws).map(drop),

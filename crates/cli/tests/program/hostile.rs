@@ -4,6 +4,7 @@ use std::fs;
 use std::path::Path;
 
 use image::codecs::jpeg::JpegEncoder;
+use tiepoint_pipeline::io::colmap::{Format, read_model, write_model};
 
 use crate::{photos, tiepoint, tiepoint_in};
 
@@ -161,4 +162,75 @@ fn control_characters_of_names_are_escaped_on_stdout() {
         run.stdout()
     );
     run.json();
+}
+
+#[test]
+fn camera_of_a_huge_size_is_refused_at_once() {
+    let dir = tempfile::tempdir().unwrap();
+    let dir = dir.path();
+    photos::write(&dir.join("photos"), 4, 0);
+    tiepoint_in(dir, "reconstruct {}/photos -o {}/ws").done();
+    let path = dir.join("ws/sparse/0");
+    let mut model = read_model(&path).unwrap();
+    let id = model.cameras().next().unwrap().0;
+    let camera = model.camera_mut(id);
+    (camera.width, camera.height) = (1 << 31, 1 << 31);
+    write_model(&dir.join("huge"), &model, Format::Binary).unwrap();
+    for line in [
+        "undistort {}/huge --images {}/photos -o {}/out",
+        "colmap image_undistorter --input_path {}/huge --image_path {}/photos --output_path {}/out",
+        "export {}/huge --images {}/photos --to openmvs -o {}/out",
+        "export {}/huge --images {}/photos --to nerfstudio -o {}/out",
+    ] {
+        tiepoint_in(dir, line).failed(1, &["photos/", "320 × 240"]);
+    }
+}
+
+#[test]
+fn threads_of_colmap_beyond_reason() {
+    let dir = tempfile::tempdir().unwrap();
+    photos::write(&dir.path().join("photos"), 2, 0);
+    let line = "colmap feature_extractor --database_path {}/x.db --image_path {}/photos \
+                --SiftExtraction.num_threads";
+    for wrong in ["100000", "1025"] {
+        tiepoint_in(dir.path(), &format!("{line} {wrong}"))
+            .failed(1, &["num_threads", "from 1 to 1024"]);
+    }
+    tiepoint_in(dir.path(), &format!("{line} -1")).done();
+}
+
+/// A pipe that nobody writes to, and a device without end, are no files.
+#[cfg(unix)]
+#[test]
+fn pipes_and_devices_in_place_of_files_are_refused_at_once() {
+    let dir = tempfile::tempdir().unwrap();
+    let dir = dir.path();
+    photos::write(&dir.join("photos"), 2, 0);
+    tiepoint_in(dir, "features {}/photos -o {}/ws").done();
+    let fifo = |name: &str| {
+        let made = std::process::Command::new("mkfifo").arg(dir.join(name)).status().unwrap();
+        assert!(made.success());
+    };
+    fifo("fifo");
+    for line in [
+        "features {}/photos -o {}/other --database {}/fifo",
+        "adjust {}/fifo",
+        "colmap mapper --database_path {}/fifo --output_path {}/out --image_path {}/photos",
+        "colmap exhaustive_matcher --database_path {}/fifo",
+        "colmap exhaustive_matcher --database_path {}/x.db --project_path {}/fifo",
+        "colmap exhaustive_matcher --database_path {}/x.db --project_path /dev/zero",
+        "colmap feature_extractor --database_path {}/x.db --image_path {}/photos \
+         --image_list_path /dev/zero",
+    ] {
+        let run = tiepoint_in(dir, line);
+        assert!(run.stderr().contains("and no regular file"), "{line}: {}", run.stderr());
+    }
+    for name in ["stages.json", "report.json"] {
+        fs::remove_file(dir.join("ws").join(name)).unwrap();
+        fifo(&format!("ws/{name}"));
+        let run = tiepoint_in(dir, "match {}/ws");
+        assert!(run.stderr().contains(name), "{}", run.stderr());
+        assert_eq!(run.code(), 1, "{}", run.stderr());
+        fs::remove_file(dir.join("ws").join(name)).unwrap();
+    }
 }

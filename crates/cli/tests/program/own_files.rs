@@ -160,7 +160,7 @@ fn the_workspace_may_lie_anywhere_beside_the_photos() {
             format!("adjust {{}}/{workspace} -o {{}}/{workspace}/adjusted"),
             format!("export {{}}/{workspace} --to nerfstudio -o {{}}/{workspace}/nerf"),
             format!("export {{}}/{workspace} --to openmvs -o {{}}/{workspace}/mvs"),
-            format!("export {{}}/{workspace} --to colmap -o {{}}/{workspace}"),
+            format!("export {{}}/{workspace} --to colmap -o {{}}/{workspace}/colmap"),
             format!("export {{}}/{workspace} --to ply -o {{}}/{workspace}/cloud.ply"),
             format!("view {{}}/{workspace}"),
             format!("evaluate poses {{}}/{workspace} --truth colmap:{{}}/{workspace}/sparse/0"),
@@ -356,6 +356,20 @@ fn no_command_replaces_a_file_that_it_reads_or_did_not_make() {
         assert!(fs::read(dir.join("new")).unwrap() == first, "{line}");
         fs::remove_file(dir.join("new")).unwrap();
     }
+}
+
+#[test]
+fn drive_that_was_killed_at_its_first_file_continues() {
+    let dir = tempfile::tempdir().unwrap();
+    let drive = dir.path().join("drive");
+    fs::create_dir(&drive).unwrap();
+    fs::write(drive.join(".synth.json.tiepoint-part"), "{").unwrap();
+    let line = "synth -o {}/drive --frames 1 --size 32x24";
+    tiepoint_in(dir.path(), line).done();
+    assert!(!drive.join(".synth.json.tiepoint-part").exists());
+    fs::write(drive.join(".hidden"), "mine").unwrap();
+    fs::remove_file(drive.join("synth.json")).unwrap();
+    tiepoint_in(dir.path(), line).failed(1, &["drive is not empty"]);
 }
 
 #[cfg(unix)]

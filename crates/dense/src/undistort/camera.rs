@@ -29,7 +29,12 @@ impl Default for UndistortOptions {
 }
 
 impl UndistortOptions {
-    fn validate(&self) -> Result<(), Error> {
+    /// Checks the ranges of the options.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Option`] for the first option out of its range.
+    pub fn validate(&self) -> Result<(), Error> {
         let Self { blank_pixels, min_scale, max_scale, max_image_size } = *self;
         let check = |is_valid: bool, name, value, range| match is_valid {
             true => Ok(()),

@@ -155,7 +155,7 @@ pub(super) fn read(dir: &Path) -> Result<Tables> {
 
 fn read_cameras<R: Read>(file: &mut Reader<R>) -> Result<Vec<(u32, Camera)>> {
     let count = file.count(MIN_CAMERA_BYTES, "the number of cameras")?;
-    let mut cameras = Vec::with_capacity(count);
+    let mut cameras = file.list(count)?;
     for _ in 0..count {
         let id = file.u32("a camera's id")?;
         let model = file.i32("a camera's model")?;
@@ -187,7 +187,7 @@ fn read_sensor<R: Read>(file: &mut Reader<R>) -> Result<Option<u32>> {
 
 fn read_rigs<R: Read>(file: &mut Reader<R>) -> Result<Vec<RigRow>> {
     let count = file.count(MIN_RIG_BYTES, "the number of rigs")?;
-    let mut rigs = Vec::with_capacity(count);
+    let mut rigs = file.list(count)?;
     for _ in 0..count {
         let id = file.u32("a rig's id")?;
         let sensors = u64::from(file.u32("a rig's number of sensors")?);
@@ -216,14 +216,14 @@ fn read_rigs<R: Read>(file: &mut Reader<R>) -> Result<Vec<RigRow>> {
 
 fn read_frames<R: Read>(file: &mut Reader<R>) -> Result<Vec<FrameRow>> {
     let count = file.count(MIN_FRAME_BYTES, "the number of frames")?;
-    let mut frames = Vec::with_capacity(count);
+    let mut frames = file.list(count)?;
     for _ in 0..count {
         let id = file.u32("a frame's id")?;
         let rig = file.u32("a frame's rig")?;
         let rig_from_world = file.pose("a frame's pose")?;
         let data = u64::from(file.u32("a frame's number of images")?);
         let data = file.check_count(data, DATA_BYTES, "a frame's number of images")?;
-        let mut images = Vec::with_capacity(data);
+        let mut images = file.list(data)?;
         for _ in 0..data {
             let camera = read_sensor(file)?;
             let image = file.u64("a frame's image")?;
@@ -242,15 +242,15 @@ fn read_frames<R: Read>(file: &mut Reader<R>) -> Result<Vec<FrameRow>> {
 
 fn read_images<R: Read>(file: &mut Reader<R>) -> Result<Vec<ImageRow>> {
     let count = file.count(MIN_IMAGE_BYTES, "the number of images")?;
-    let mut images = Vec::with_capacity(count);
+    let mut images = file.list(count)?;
     for _ in 0..count {
         let id = file.u32("an image's id")?;
         let cam_from_world = file.pose("an image's pose")?;
         let camera = file.u32("an image's camera")?;
         let name = file.c_string("an image's name")?;
         let count = file.count(KEYPOINT_BYTES, "an image's number of keypoints")?;
-        let mut keypoints = Vec::with_capacity(count);
-        let mut points = Vec::with_capacity(count);
+        let mut keypoints = file.list(count)?;
+        let mut points = file.list(count)?;
         for _ in 0..count {
             let pixel = Vector2::new(file.f64("a keypoint's x")?, file.f64("a keypoint's y")?);
             keypoints.push(Keypoint { pixel, scale_px: UNKNOWN_SCALE_PX });
@@ -264,7 +264,7 @@ fn read_images<R: Read>(file: &mut Reader<R>) -> Result<Vec<ImageRow>> {
 
 fn read_points<R: Read>(file: &mut Reader<R>) -> Result<Vec<PointRow>> {
     let count = file.count(MIN_POINT_BYTES, "the number of points")?;
-    let mut points = Vec::with_capacity(count);
+    let mut points = file.list(count)?;
     for _ in 0..count {
         let id = file.u64("a point's id")?;
         let xyz = file.vector3("a point's position")?;
@@ -273,7 +273,7 @@ fn read_points<R: Read>(file: &mut Reader<R>) -> Result<Vec<PointRow>> {
         // NaN where it has none.
         file.raw_f64("a point's error")?;
         let observations = file.count(OBSERVATION_BYTES, "the length of a track")?;
-        let mut track = Vec::with_capacity(observations);
+        let mut track = file.list(observations)?;
         for _ in 0..observations {
             track.push((file.u32("a track's image")?, file.u32("a track's keypoint")?));
         }

@@ -1,5 +1,6 @@
 //! The records of the files of a model, and their conversion to a reconstruction.
 
+use std::collections::BTreeSet;
 use std::path::Path;
 
 use tiepoint_geometry::Rigid3;
@@ -80,6 +81,12 @@ impl Tables {
             model.add_camera(camera);
         }
         let images = sort(dir, "image", &mut self.images, |row| row.id)?;
+        let mut names = BTreeSet::new();
+        if let Some(row) = self.images.iter().find(|row| !names.insert(row.name.as_str())) {
+            // Photos, times and other models are found by names.
+            let name = Excerpt(&row.name);
+            return Err(Error::content(dir, format!("two of its images have the name {name}")));
+        }
         // Point ids of the keypoints of each image; set to `NO_POINT` when the track of the point
         // lists the keypoint.
         let mut point_ids = Vec::with_capacity(self.images.len());

@@ -10,7 +10,7 @@ use super::guard::{self, Guard};
 use super::schema;
 use crate::disk::{self, Operation};
 use crate::excerpt::Excerpt;
-use crate::{Error, Result};
+use crate::{Error, Result, require_regular_file};
 
 /// Upper bound of image ids. COLMAP numbers a pair of images MAX_IMAGE_ID · (smaller id) + (larger
 /// id).
@@ -48,7 +48,9 @@ impl Database {
     /// triggers or generated columns in place of tables.
     pub fn open(path: &Path) -> Result<Self> {
         std::fs::metadata(path).map_err(Error::io(path))?;
+        require_regular_file(path)?;
         let mut database = Self::with(connect(path, path)?, path)?;
+        database.upgrade()?;
         database.check_tables()?;
         // Fails for a read-only file, which can still be read.
         let _ = database.connection.pragma_update(None, "journal_mode", "WAL");
@@ -58,12 +60,40 @@ impl Database {
         Ok(database)
     }
 
+    /// Gives a database of COLMAP of 2017 the tables of today, as COLMAP does when it opens one:
+    /// two-view geometries were inlier matches without matrices.
+    pub(super) fn upgrade(&self) -> Result<()> {
+        let checked = schema::check(&self.connection).map_err(error(&self.path))?;
+        checked.map_err(|what| self.content(what))?;
+        let (geometries, inliers) = ("two_view_geometries", "inlier_matches");
+        let mut changes = Vec::new();
+        let mut known = self.columns(geometries)?;
+        if known.is_empty() {
+            known = self.columns(inliers)?;
+            changes.push(format!("ALTER TABLE {inliers} RENAME TO {geometries}"));
+        }
+        let missing = ["F", "E", "H"].into_iter().filter(|name| !known.iter().any(|it| it == name));
+        changes
+            .extend(missing.map(|name| format!("ALTER TABLE {geometries} ADD COLUMN {name} BLOB")));
+        if known.is_empty() || changes.is_empty() {
+            return Ok(());
+        }
+        self.transaction(|database| changes.iter().try_for_each(|change| database.run(change)))
+    }
+
     /// Checks that the tables are ordinary ones. Done first: a view could yield rows without end.
     pub(super) fn check_tables(&self) -> Result<()> {
         let checked = schema::check(&self.connection).map_err(error(&self.path))?;
         checked.map_err(|what| self.content(what))?;
         for table in schema::REQUIRED {
             if self.columns(table)?.is_empty() {
+                if !self.columns("inlier_matches")?.is_empty() {
+                    return Err(self.content(
+                        "is a database of COLMAP of 2017, which has to be upgraded: open it with a \
+                        newer COLMAP once"
+                            .to_owned(),
+                    ));
+                }
                 return Err(
                     self.content(format!("is not a COLMAP database: it has no table `{table}`"))
                 );

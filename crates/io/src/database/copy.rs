@@ -69,6 +69,7 @@ impl Database {
             // The copy of a file in WAL mode would have a log of its own.
             checkpoint_log(&database.connection).map_err(error(from))?;
             database.path = from.to_owned();
+            database.upgrade()?;
             database.check_tables()?;
             database.transaction(Self::remove_orphans)?;
             database.index_tables()?;

@@ -1,7 +1,7 @@
 //! Creation of databases. A new database replaces the old one only when it is complete.
 
-use std::fs::{self, OpenOptions, TryLockError};
-use std::io;
+use std::fs::{self, File, OpenOptions, TryLockError};
+use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
 use rusqlite::{Connection, ErrorCode};
@@ -14,6 +14,8 @@ use crate::{Error, Result};
 
 /// Suffixes of the files that SQLite keeps beside a database.
 const SIDE_FILE_SUFFIXES: [&str; 3] = ["-wal", "-shm", "-journal"];
+/// The first bytes of a database (<https://www.sqlite.org/fileformat.html>, section 1.3).
+const MAGIC: &[u8; 16] = b"SQLite format 3\0";
 
 impl Database {
     /// Creates an empty database; replaces a database of that name.
@@ -31,8 +33,9 @@ impl Database {
     ///
     /// # Errors
     ///
-    /// If `fill` fails, if another run creates the database or has the old one open, and if the
-    /// system reports an error. The old database is then unchanged.
+    /// If `fill` fails, if another run creates the database or has the old one open, if there is a
+    /// log or journal and no database, and if the system reports an error. The old database is then
+    /// unchanged.
     pub fn create_with(path: &Path, fill: impl FnOnce(&mut Self) -> Result<()>) -> Result<Self> {
         Self::replace_with(path, |database| {
             database.transaction(|db| db.run(schema::CREATE))?;
@@ -49,14 +52,23 @@ impl Database {
             return Err(Error::content(path, "is not the name of a file"));
         }
         let target = disk::end_of_links(path).map_err(Error::io(path))?;
-        let is_there = match fs::metadata(&target) {
+        match fs::metadata(&target) {
             Ok(found) if !found.is_file() => {
                 return Err(Error::content(path, "exists and is not a regular file"));
             }
-            Ok(_) => true,
-            Err(cause) if cause.kind() == io::ErrorKind::NotFound => false,
+            Ok(_) => {}
+            Err(cause) if cause.kind() == io::ErrorKind::NotFound => {}
             Err(cause) => return Err(Error::io(path)(cause)),
-        };
+        }
+        for file in SIDE_FILE_SUFFIXES.map(|suffix| side_file(&target, suffix)) {
+            // They are somebody's, and may hold the only copy of committed data.
+            if !is_database(&target) && fs::symlink_metadata(&file).is_ok() {
+                return Err(Error::content(
+                    &file,
+                    "may be the log of a database that was moved away: move it to that database",
+                ));
+            }
+        }
         let temporary = TemporaryDatabase::claim(path, disk::temporary_path(&target))?;
         let mut database = Self::with(connect(&temporary.path, path)?, path)?;
         // A killed run discards the temporary database, so that its durability does not matter
@@ -66,7 +78,7 @@ impl Database {
         fill(&mut database)?;
         database.connection.close().map_err(|(_, cause)| error(path)(cause))?;
         temporary.file.sync().map_err(Error::io(path))?;
-        if is_there {
+        if is_database(&target) {
             checkpoint_if_needed(&target, path)?;
         }
         for suffix in SIDE_FILE_SUFFIXES {
@@ -78,8 +90,7 @@ impl Database {
     }
 }
 
-/// Merges the log or journal of a database into its file. A file that is not a database stays as it
-/// is.
+/// Merges the log or journal of a database into its file.
 fn checkpoint_if_needed(file: &Path, path: &Path) -> Result<()> {
     if !SIDE_FILE_SUFFIXES.iter().any(|suffix| side_file(file, suffix).exists()) {
         return Ok(());
@@ -91,6 +102,7 @@ fn checkpoint_if_needed(file: &Path, path: &Path) -> Result<()> {
     };
     let connection = connect(file, path)?;
     match checkpoint(&connection) {
+        // A damaged file is replaced.
         Err(cause)
             if matches!(
                 cause.sqlite_error_code(),
@@ -99,6 +111,12 @@ fn checkpoint_if_needed(file: &Path, path: &Path) -> Result<()> {
         result => result.map_err(error(path))?,
     }
     connection.close().map_err(|(_, cause)| error(path)(cause))
+}
+
+/// Whether a file begins as a database does. SQLite deletes journals beside others.
+fn is_database(file: &Path) -> bool {
+    let mut head = [0; MAGIC.len()];
+    File::open(file).and_then(|mut file| file.read_exact(&mut head)).is_ok_and(|()| head == *MAGIC)
 }
 
 fn remove_if_there(path: &Path) -> io::Result<()> {

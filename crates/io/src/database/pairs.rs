@@ -242,11 +242,13 @@ impl Database {
     /// If a row belongs to an image that does not exist or has invalid content, and if the file
     /// cannot be read.
     pub fn read_two_views(&self) -> Result<Vec<(ImagePair, TwoView)>> {
-        // Older files lack the pose.
-        let has_pose = self.columns("two_view_geometries")?.iter().any(|name| name == "qvec");
-        let pose = if has_pose { "qvec, tvec" } else { "NULL, NULL" };
+        // Older files lack the pose, and those of 2017 the matrices.
+        let known = self.columns("two_view_geometries")?;
+        let columns = ["F", "E", "H", "qvec", "tvec"]
+            .map(|name| if known.iter().any(|known| known == name) { name } else { "NULL" });
+        let columns = columns.join(", ");
         let sql = format!(
-            "SELECT pair_id, rows, cols, data, config, F, E, H, {pose} FROM two_view_geometries \
+            "SELECT pair_id, rows, cols, data, config, {columns} FROM two_view_geometries \
             ORDER BY pair_id"
         );
         self.try_rows(&sql, |row| {

@@ -9,7 +9,7 @@ use rusqlite::{Connection, ErrorCode, OpenFlags};
 
 use super::connection::{Database, error};
 use super::guard::{self, side_file};
-use crate::{Error, Result, disk};
+use crate::{Error, Result, disk, require_regular_file};
 
 /// Range of the file format versions for writing and reading in the header of a database, and their
 /// values in WAL mode (<https://www.sqlite.org/fileformat.html>, section 1.3).
@@ -55,6 +55,7 @@ pub(super) fn read_connection(path: &Path) -> Result<Connection> {
 /// Opens a database such that reading changes no file.
 pub(super) fn open_to_read(file: &Path, path: &Path) -> Result<rusqlite::Result<Connection>> {
     std::fs::metadata(file).map_err(Error::io(path))?;
+    require_regular_file(path)?;
     let has_wal = std::fs::metadata(side_file(file, "-wal")).is_ok_and(|found| found.len() > 0);
     // A process with an open database in WAL mode keeps the index of the log (`-shm`).
     let has_shm = side_file(file, "-shm").exists();

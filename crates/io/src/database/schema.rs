@@ -10,8 +10,15 @@ pub(super) const REQUIRED: [&str; 6] =
     ["cameras", "images", "keypoints", "descriptors", "matches", "two_view_geometries"];
 
 /// Tables of newer versions, and our own.
-const OPTIONAL: [&str; 6] =
-    ["rigs", "rig_sensors", "frames", "frame_data", "pose_priors", "tiepoint_stages"];
+const OPTIONAL: [&str; 7] = [
+    "inlier_matches",
+    "rigs",
+    "rig_sensors",
+    "frames",
+    "frame_data",
+    "pose_priors",
+    "tiepoint_stages",
+];
 
 /// Checks that all tables that are read are ordinary tables; the inner error names the first one
 /// that is not. A view may be without end, a virtual table may run any code, a generated column

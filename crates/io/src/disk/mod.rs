@@ -268,7 +268,7 @@ pub(crate) fn end_of_links(path: &Path) -> io::Result<PathBuf> {
 }
 
 /// The temporary path of a file or folder while it is written: hidden, in the same folder.
-pub(crate) fn temporary_path(target: &Path) -> PathBuf {
+pub fn temporary_path(target: &Path) -> PathBuf {
     let name = target.file_name().unwrap_or_default();
     let mut temporary = OsString::from(".");
     match name.to_str() {

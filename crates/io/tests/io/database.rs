@@ -243,6 +243,45 @@ fn layouts_of_other_versions_are_read() {
 }
 
 #[test]
+fn databases_of_2017_and_those_without_matrices_are_upgraded() {
+    let dir = tempfile::tempdir().unwrap();
+    let layouts = [
+        "DROP TABLE two_view_geometries; CREATE TABLE inlier_matches(pair_id INTEGER PRIMARY KEY \
+         NOT NULL, rows INTEGER NOT NULL, cols INTEGER NOT NULL, data BLOB, config INTEGER NOT \
+         NULL);",
+        "DROP TABLE two_view_geometries; CREATE TABLE two_view_geometries(pair_id INTEGER PRIMARY \
+         KEY NOT NULL, rows INTEGER NOT NULL, cols INTEGER NOT NULL, data BLOB, config INTEGER \
+         NOT NULL);",
+    ];
+    for (index, (layout, table)) in
+        layouts.into_iter().zip(["inlier_matches", "two_view_geometries"]).enumerate()
+    {
+        let path = dir.path().join(format!("{index}.db"));
+        filled(&path).close().unwrap();
+        let sql = rusqlite::Connection::open(&path).unwrap();
+        sql.execute_batch(&format!(
+            "PRAGMA foreign_keys = OFF; {layout} INSERT INTO {table} VALUES (2147483647 + 3, 1, 2, \
+             x'0000000001000000', 2);"
+        ))
+        .unwrap();
+        drop(sql);
+        let before = std::fs::read(&path).unwrap();
+        let copy = dir.path().join("copy.db");
+        let views = |database: &Database| database.read_two_views().unwrap();
+        let copied = views(&Database::copy_with(&path, &copy, |_| Ok(())).unwrap());
+        assert_eq!(std::fs::read(&path).unwrap(), before);
+        assert_eq!(copied.len(), 1);
+        assert_eq!(copied[0].1.matches, [Match { a: 0, b: 1 }]);
+        assert_eq!((copied[0].1.fundamental, copied[0].1.cam2_from_cam1), (None, None));
+        assert_eq!(views(&Database::open(&path).unwrap()), copied);
+        // As what is written then has its columns.
+        let mut database = Database::open(&path).unwrap();
+        database.write_two_views([(copied[0].0, &copied[0].1)]).unwrap();
+        assert_eq!(views(&database), copied);
+    }
+}
+
+#[test]
 fn files_of_other_formats_are_refused() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("database.db");
@@ -328,9 +367,19 @@ fn complete_database_replaces_the_old_one() {
     assert_eq!((db.num_cameras(), db.num_images()), (2, 0));
     drop(db);
 
-    // Files beside a file that is not a database are removed with it.
-    for suffix in ["", "-wal", "-shm", "-journal"] {
-        std::fs::write(copy.join(format!("database.db{suffix}")), "x".repeat(5000)).unwrap();
+    // Files beside a file that is not a database, or beside none, may be of another database.
+    std::fs::write(&path, "x".repeat(5000)).unwrap();
+    for suffix in ["-wal", "-shm", "-journal"] {
+        let beside = copy.join(format!("database.db{suffix}"));
+        std::fs::write(&beside, "x".repeat(5000)).unwrap();
+        for _ in 0..2 {
+            let error = Database::create(&path).unwrap_err().to_string();
+            assert!(error.contains(&format!("database.db{suffix}: may be the log")), "{error}");
+            assert_eq!(std::fs::read(&beside).unwrap(), "x".repeat(5000).as_bytes());
+            let _ = std::fs::remove_file(&path);
+        }
+        std::fs::remove_file(beside).unwrap();
+        std::fs::write(&path, "x".repeat(5000)).unwrap();
     }
     Database::create(&path).unwrap().close().unwrap();
     assert_eq!(names(&copy), ["database.db"]);

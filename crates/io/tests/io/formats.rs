@@ -454,3 +454,24 @@ fn bal_numbers_after_the_last_point_are_refused() {
         }
     }
 }
+
+/// A sparse file is as long as it announces, and takes no room on the disk.
+#[cfg(target_os = "linux")]
+#[test]
+fn sparse_files_of_more_than_memory_are_refused() {
+    // More than the address space of a process.
+    const VERTICES: u64 = 1 << 44;
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("huge.ply");
+    let header = format!(
+        "ply\nformat binary_little_endian 1.0\nelement vertex {VERTICES}\nproperty uchar \
+         x\nproperty uchar y\nproperty uchar z\nend_header\n"
+    );
+    std::fs::write(&path, &header).unwrap();
+    let file = std::fs::OpenOptions::new().write(true).open(&path).unwrap();
+    // File systems have limits of their own.
+    if file.set_len(header.len() as u64 + 3 * VERTICES).is_ok() {
+        let error = ply::read(&path).unwrap_err().to_string();
+        assert!(error.contains("more than memory holds"), "{error}");
+    }
+}

@@ -15,7 +15,7 @@ use tiepoint_sfm::{
     transfer_model,
 };
 
-use super::output::{Replaced, put, refuse_foreign};
+use super::output::{ModelFolders, put};
 use super::scene::{ids_of, read_graph, read_scene};
 use crate::colors::color_points;
 use crate::mapping::translate;
@@ -78,10 +78,10 @@ pub fn map(
         Some(_) => output.to_owned(),
         None => output.join(index.to_string()),
     };
-    let replaced = if options.input.is_some() { Replaced::All } else { Replaced::Ours };
-    if replaced == Replaced::Ours {
-        refuse_foreign(&folder(0))?;
-    }
+    let folders = match options.input {
+        Some(_) => None,
+        None => Some(ModelFolders::open(output)?),
+    };
     let database = Database::open_read_only(database)?;
     let scene = read_scene(&database)?;
     let is_asked = |id: ImageId| match &options.names {
@@ -109,17 +109,21 @@ pub fn map(
             emit(watch, &Event::PointsGrey { why: &error.to_string() })?;
         }
     }
-    let mut written = Vec::new();
-    for (index, MappedModel { reconstruction: model, .. }) in models.iter().enumerate() {
-        let path = folder(index);
-        put(&path, model, Format::Binary, options.project.as_deref(), replaced)?;
-        written.push(MappedFolder {
-            path,
-            images: model.num_registered(),
-            points: model.num_tracks(),
-            mean_reprojection_error_px: model.mean_reprojection_error_px(),
-        });
+    let (reconstructions, project) =
+        (models.iter().map(|model| &model.reconstruction), options.project.as_deref());
+    match folders {
+        Some(folders) => folders.write(reconstructions.clone(), Format::Binary, project)?,
+        None => reconstructions
+            .clone()
+            .try_for_each(|model| put(output, model, Format::Binary, project))?,
     }
+    let written = reconstructions.enumerate().map(|(index, model)| MappedFolder {
+        path: folder(index),
+        images: model.num_registered(),
+        points: model.num_tracks(),
+        mean_reprojection_error_px: model.mean_reprojection_error_px(),
+    });
+    let written = written.collect();
     let seconds = start.elapsed().as_secs_f64();
     emit(watch, &Event::StageDone { stage: Stage::Map, seconds })?;
     Ok(written)

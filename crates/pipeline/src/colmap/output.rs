@@ -7,19 +7,10 @@ use tiepoint_sfm::scene::Reconstruction;
 
 use crate::Error;
 use crate::output_folder::{OutputFolder, model_names};
-use crate::workspace::is_workspace;
+use crate::workspace::refuse_workspace;
 
 /// File of the options that a model was made with, which COLMAP writes beside it.
 pub(super) const PROJECT: &str = "project.ini";
-
-/// Who may have made the files that a model replaces.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Replaced {
-    /// Anybody: the caller named the folder as the output.
-    All,
-    /// This program only.
-    Ours,
-}
 
 /// Writes a model into a folder that the caller named as the output: its model in this format is
 /// replaced, whoever made it, also if it is the input. All other files in it stay.
@@ -28,7 +19,7 @@ pub(super) enum Replaced {
 ///
 /// The folder is a workspace, or writing fails.
 pub fn write_model(to: &Path, model: &Reconstruction, format: Format) -> Result<(), Error> {
-    put(to, model, format, None, Replaced::All)
+    put(to, model, format, None)
 }
 
 /// Writes a model, and the options that it was made with as a `project.ini`.
@@ -37,24 +28,17 @@ pub(super) fn put(
     model: &Reconstruction,
     format: Format,
     project: Option<&str>,
-    replaced: Replaced,
 ) -> Result<(), Error> {
-    if is_workspace(to) {
-        return Err(Error::ModelIntoWorkspace { path: to.to_owned() });
-    }
+    refuse_workspace(to)?;
     let mut folder = OutputFolder::open(to)?;
     let mut names = model_names(None);
-    if replaced == Replaced::All {
-        // As COLMAP leaves the files of the other format, a conversion in place loses nothing.
-        let suffix = format!(".{}", format.suffix());
-        names.retain(|name| name.ends_with(&suffix));
-    }
+    // As COLMAP leaves the files of the other format, a conversion in place loses nothing.
+    let suffix = format!(".{}", format.suffix());
+    names.retain(|name| name.ends_with(&suffix));
     if project.is_some() {
         names.push(PROJECT.to_owned());
     }
-    if replaced == Replaced::All {
-        folder.may_replace(&names);
-    }
+    folder.may_replace(&names);
     folder.refuse_foreign(names.iter().map(String::as_str))?;
     let mut staged = Vec::new();
     if let Some(project) = project {
@@ -73,9 +57,7 @@ pub(super) fn put(
 ///
 /// The folder is a workspace, or a name of a model's files is not that of a file.
 pub(super) fn refuse_foreign_model(to: &Path) -> Result<(), Error> {
-    if is_workspace(to) {
-        return Err(Error::ModelIntoWorkspace { path: to.to_owned() });
-    }
+    refuse_workspace(to)?;
     if !to.exists() {
         return Ok(());
     }
@@ -85,19 +67,71 @@ pub(super) fn refuse_foreign_model(to: &Path) -> Result<(), Error> {
     folder.refuse_foreign(names.iter().map(String::as_str))
 }
 
-/// Checks before any work is done that [`put`] may write a model of this program only.
-///
-/// # Errors
-///
-/// The folder is a workspace, or has a model of another program.
-pub(super) fn refuse_foreign(to: &Path) -> Result<(), Error> {
-    if is_workspace(to) {
-        return Err(Error::ModelIntoWorkspace { path: to.to_owned() });
+/// The folder of the models `0`, `1`, … of a mapper, which are replaced together.
+pub(super) struct ModelFolders(OutputFolder);
+
+impl ModelFolders {
+    /// Opens or creates the folder. Models of this program in it may be replaced, also those that a
+    /// command wrote into one of their folders.
+    ///
+    /// # Errors
+    ///
+    /// The folder is a workspace or its `sparse`, or has a model of another program.
+    pub(super) fn open(to: &Path) -> Result<Self, Error> {
+        refuse_workspace(to)?;
+        let mut folder = OutputFolder::open(to)?;
+        for index in (0..).map(|index: usize| index.to_string()) {
+            let path = to.join(&index);
+            if !path.is_dir() {
+                break;
+            }
+            let names = names_with_project(None);
+            if OutputFolder::is_ours(&path) {
+                let own = OutputFolder::open(&path)?;
+                let mut ours = Vec::new();
+                for name in &names {
+                    if own.is_as_left(name)? {
+                        ours.push(format!("{index}/{name}"));
+                    }
+                }
+                folder.claim(&ours)?;
+            }
+            let names = names_with_project(Some(&index));
+            folder.refuse_foreign(names.iter().map(String::as_str))?;
+        }
+        Ok(Self(folder))
     }
-    if !to.exists() {
-        return Ok(());
+
+    /// Writes models as one transaction, and removes further ones of an earlier run.
+    ///
+    /// # Errors
+    ///
+    /// Writing fails.
+    pub(super) fn write<'a>(
+        mut self,
+        models: impl IntoIterator<Item = &'a Reconstruction>,
+        format: Format,
+        project: Option<&str>,
+    ) -> Result<(), Error> {
+        let folder = &mut self.0;
+        let mut staged = Vec::new();
+        for (index, model) in models.into_iter().enumerate() {
+            let index = index.to_string();
+            if let Some(project) = project {
+                let name = format!("{index}/{PROJECT}");
+                folder.stage_bytes(&name, project.as_bytes())?;
+                staged.push(name);
+            }
+            staged.extend(folder.stage_model(Some(&index), model, format)?);
+        }
+        let known = folder.names().filter(|name| folder.exists(name)).map(str::to_owned);
+        let removed: Vec<String> = known.filter(|name| !staged.contains(name)).collect();
+        folder.publish(&staged, &removed).map(drop)
     }
-    let names = model_names(None);
-    let names = names.iter().map(String::as_str).chain([PROJECT]);
-    OutputFolder::open(to)?.refuse_foreign(names)
+}
+
+/// Names of a model's files, and of its options.
+fn names_with_project(folder: Option<&str>) -> Vec<String> {
+    let project = folder.map_or_else(|| PROJECT.to_owned(), |folder| format!("{folder}/{PROJECT}"));
+    model_names(folder).into_iter().chain([project]).collect()
 }

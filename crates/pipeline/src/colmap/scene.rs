@@ -18,13 +18,13 @@ use crate::{Error, database_scene};
 ///
 /// It is not a database of COLMAP, or that of a workspace, whose records would become wrong.
 pub(super) fn open_to_add(path: &Path) -> Result<Database, Error> {
-    let database = Database::open(path)?;
+    // Opening it would change its header.
     if read_stage_rows(path)?.is_some() {
         let what = "belongs to a workspace of tiepoint: add to it with `tiepoint features` and \
                     `tiepoint match`, or give another --database_path";
         return Err(Error::Colmap { path: path.to_owned(), what: what.to_owned() });
     }
-    Ok(database)
+    Ok(Database::open(path)?)
 }
 
 /// The scene of a database without poses. Cameras and images have the ids of the database.

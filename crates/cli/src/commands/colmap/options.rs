@@ -2,11 +2,14 @@
 
 use std::collections::BTreeMap;
 use std::fs;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::str::FromStr;
+
+use tiepoint_pipeline::io::require_regular_file;
 
 use super::spec::{Effect, Kind, Spec};
 use super::tables::{ALIASES, GENERAL};
+use crate::args;
 use crate::output::Output;
 
 /// The options that were given, by their names in COLMAP 3.
@@ -118,8 +121,7 @@ impl Options {
     /// The names in the file of an option, one on a line.
     pub(super) fn lines(&self, name: &str) -> Result<Option<Vec<String>>, String> {
         let Some(path) = self.path(name) else { return Ok(None) };
-        let text = fs::read_to_string(&path)
-            .map_err(|cause| format!("cannot read {}: {cause}", path.display()))?;
+        let text = read_text(&path)?;
         let names = text.lines().map(str::trim).filter(|line| !line.is_empty());
         Ok(Some(names.filter(|line| !line.starts_with('#')).map(str::to_owned).collect()))
     }
@@ -129,7 +131,12 @@ impl Options {
         let name = self.given.keys().find(|name| name.ends_with(".num_threads"));
         let Some(name) = name else { return Ok(None) };
         let threads: i64 = self.number(name)?;
-        Ok(usize::try_from(threads).ok().filter(|threads| *threads > 0))
+        // COLMAP's −1 is for all of the machine.
+        if threads <= 0 {
+            return Ok(None);
+        }
+        let threads = args::threads(&threads.to_string());
+        threads.map(|threads| Some(threads.get())).map_err(|why| format!("--{name}: {why}"))
     }
 
     /// The seed of all random numbers.
@@ -189,9 +196,15 @@ fn pairs(words: &[String]) -> Result<Vec<(String, String)>, String> {
     Ok(pairs)
 }
 
+/// The text of a regular file: a pipe could keep the program waiting, a device is without end.
+fn read_text(path: &Path) -> Result<String, String> {
+    require_regular_file(path).map_err(|error| error.to_string())?;
+    fs::read_to_string(path).map_err(|cause| format!("cannot read {}: {cause}", path.display()))
+}
+
 /// The options of a project file: `name=value` in sections `[Section]`.
 fn read_project(path: &str) -> Result<Vec<(String, String)>, String> {
-    let text = fs::read_to_string(path).map_err(|cause| format!("cannot read {path}: {cause}"))?;
+    let text = read_text(Path::new(path))?;
     let mut section = String::new();
     let mut options = Vec::new();
     for line in text.lines().map(str::trim) {
