@@ -21,7 +21,7 @@ use crate::database_scene::read_scene;
 use crate::file_names::{SPARSE, is_rig_name, model_path, rig_name};
 use crate::input_model::{InputModel, OpenedModel};
 use crate::output_folder::model_names;
-use crate::records::{Progress, Recipe, json};
+use crate::records::{Progress, Recipe};
 use crate::rig_calibration::known_rigs;
 use crate::rig_file::RigFile;
 use crate::scale::{ScaleReport, scale_to_baseline};
@@ -443,7 +443,7 @@ fn stage_models(workspace: &Workspace, models: &[MappedModel]) -> Result<Vec<Str
     for (index, MappedModel { reconstruction, rig, .. }) in models.iter().enumerate() {
         if let Some(rig) = rig.as_ref().and_then(|rig| RigFile::new(reconstruction, rig)) {
             let name = rig_name(index);
-            workspace.folder.stage_bytes(&name, &json(&rig))?;
+            workspace.folder.stage_bytes(&name, &rig.to_json())?;
             names.push(name);
         }
         names.extend(workspace.folder.stage_model(
@@ -538,11 +538,11 @@ mod tests {
         let centre = |rig: &RigFile| rig.cameras[0].centre_in_rig[0];
         let [first, second, third] = [0, 1, 2].map(rig);
         assert_eq!(centre(&first.clone().unwrap()), 1.0);
-        assert_eq!(first.unwrap().bad_pairs, Some(Vec::new()));
+        assert_eq!(first.unwrap().bad_pairs, [[""; 2]; 0]);
         assert_eq!(second, None);
         assert_eq!(centre(&third.clone().unwrap()), 2.0);
         let pair = ["left/0.png", "right/0.png"].map(str::to_owned);
-        assert_eq!(third.unwrap().bad_pairs, Some(vec![pair]));
+        assert_eq!(third.unwrap().bad_pairs, [pair]);
         // New models replace all files of the old ones.
         let replaced = replaced_names(&workspace);
         for name in ["rig.json", "rig-2.json", "sparse/2/images.bin"] {
