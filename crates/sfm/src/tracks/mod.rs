@@ -15,4 +15,3 @@ pub use hold_out::{held_out_rms_px, hold_out_tracks};
 pub(crate) use infinity::without_points_at_infinity;
 pub(crate) use selection::select_points;
 pub(crate) use triangulation::triangulate_observations;
-pub use triangulation::{Triangulated, ViewRay, triangulate};
