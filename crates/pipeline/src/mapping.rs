@@ -459,11 +459,8 @@ fn stage_models(workspace: &Workspace, models: &[MappedModel]) -> Result<Vec<Str
 mod tests {
     use tiepoint_sfm::geometry::nalgebra::{UnitQuaternion, Vector3};
     use tiepoint_sfm::geometry::{CameraModelKind, Intrinsics, Rigid3};
-    use tiepoint_sfm::rig::Clock;
     use tiepoint_sfm::scene::{Camera, ImagePair};
-    use tiepoint_sfm::{
-        CalibratedCamera, CalibratedRig, ClockState, RigConstraint, RigPair, SensorPair,
-    };
+    use tiepoint_sfm::{CalibratedCamera, CalibratedRig, RigConstraint, RigPair, SensorPair};
 
     use super::*;
 
@@ -480,14 +477,8 @@ mod tests {
         });
         model.register(left, Rigid3::identity());
         model.register(right, cam_from_rig);
-        let sensor_pair = SensorPair {
-            reference: model.image(left).camera,
-            other: model.image(right).camera,
-            clock: Clock::default(),
-            clock_state: ClockState::Synchronised,
-            assumed_baseline: None,
-            unobservable_direction: None,
-        };
+        let sensor_pair =
+            SensorPair::synchronised(model.image(left).camera, model.image(right).camera);
         let constraint = RigConstraint::Soft { sigma_translation: 0.1, sigma_rotation_rad: 0.1 };
         let camera = CalibratedCamera {
             sensor_pair,

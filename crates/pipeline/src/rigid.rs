@@ -152,12 +152,8 @@ fn known_sensors(
         let clock = &camera.clock;
         let (offset_s, drift, pivot_s) = (clock.offset_s, 1e-6 * clock.drift_ppm, clock.pivot_s);
         let sensor_pair = SensorPair {
-            reference,
-            other: find(&camera.name)?,
             clock: Clock { offset_s, drift, pivot_s },
-            clock_state: ClockState::Synchronised,
-            assumed_baseline: None,
-            unobservable_direction: None,
+            ..SensorPair::synchronised(reference, find(&camera.name)?)
         };
         Ok((sensor_pair, Some(camera.cam_from_rig())))
     };
