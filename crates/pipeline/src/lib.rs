@@ -27,6 +27,7 @@ mod input_model;
 mod kalibr;
 mod keypoints;
 mod known_intrinsics;
+mod loaded_features;
 mod localize;
 mod mapping;
 mod matching;
