@@ -14,14 +14,15 @@ use crate::modules;
 
 /// Each crate with the crates that its manifest may name.
 const ARROWS: &[(&str, &[&str])] = &[
-    ("geometry", &[]),
+    ("simd", &[]),
+    ("geometry", &["simd"]),
     ("features", &[]),
-    ("matching", &["features"]),
+    ("matching", &["simd", "features"]),
     ("ba", &["geometry"]),
     ("rig", &["ba", "geometry"]),
     ("scene", &["geometry"]),
     ("eval", &["geometry"]),
-    ("dense", &["geometry", "scene"]),
+    ("dense", &["simd", "geometry", "scene"]),
     ("io", &["scene", "geometry", "features"]),
     ("synth", &["scene", "geometry", "features"]),
     ("sfm", &["features", "matching", "geometry", "ba", "rig", "scene"]),
@@ -31,13 +32,14 @@ const ARROWS: &[(&str, &[&str])] = &[
 ];
 
 const LIBRARIES: &[&str] = &[
-    "geometry", "features", "matching", "ba", "rig", "scene", "eval", "io", "synth", "sfm",
+    "simd", "geometry", "features", "matching", "ba", "rig", "scene", "eval", "io", "synth", "sfm",
     "dense", "pipeline",
 ];
 
 /// Crates whose dependencies with default features have no C code.
 const PURE: &[&str] = &[
-    "geometry", "features", "matching", "ba", "rig", "scene", "eval", "io", "synth", "sfm", "dense",
+    "simd", "geometry", "features", "matching", "ba", "rig", "scene", "eval", "io", "synth", "sfm",
+    "dense",
 ];
 
 /// Packages that need a C compiler only for an assembly file on unsupported platforms: `generator`,
