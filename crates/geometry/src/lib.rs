@@ -1,6 +1,5 @@
 #![doc = include_str!("../README.md")]
 
-#[macro_use]
 mod simd;
 #[macro_use]
 pub mod cameras;
