@@ -14,16 +14,17 @@ use crate::modules;
 
 /// Each crate with the crates that its manifest may name.
 const ARROWS: &[(&str, &[&str])] = &[
-    ("geometry", &[]),
-    ("features", &[]),
-    ("matching", &["features"]),
-    ("ba", &["geometry"]),
+    ("simd", &[]),
+    ("geometry", &["simd"]),
+    ("features", &["simd"]),
+    ("matching", &["simd", "features"]),
+    ("ba", &["simd", "geometry"]),
     ("rig", &["ba", "geometry"]),
     ("scene", &["geometry"]),
     ("eval", &["geometry"]),
-    ("dense", &["geometry", "scene"]),
+    ("dense", &["simd", "geometry", "scene"]),
     ("io", &["scene", "geometry", "features"]),
-    ("synth", &["scene", "geometry", "features"]),
+    ("synth", &["simd", "scene", "geometry", "features"]),
     ("sfm", &["features", "matching", "geometry", "ba", "rig", "scene"]),
     ("pipeline", &["sfm", "dense", "io", "eval"]),
     ("cli", LIBRARIES),
@@ -31,13 +32,14 @@ const ARROWS: &[(&str, &[&str])] = &[
 ];
 
 const LIBRARIES: &[&str] = &[
-    "geometry", "features", "matching", "ba", "rig", "scene", "eval", "io", "synth", "sfm",
+    "simd", "geometry", "features", "matching", "ba", "rig", "scene", "eval", "io", "synth", "sfm",
     "dense", "pipeline",
 ];
 
 /// Crates whose dependencies with default features have no C code.
 const PURE: &[&str] = &[
-    "geometry", "features", "matching", "ba", "rig", "scene", "eval", "io", "synth", "sfm", "dense",
+    "simd", "geometry", "features", "matching", "ba", "rig", "scene", "eval", "io", "synth", "sfm",
+    "dense",
 ];
 
 /// Packages that need a C compiler only for an assembly file on unsupported platforms: `generator`,

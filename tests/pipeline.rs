@@ -8,7 +8,6 @@ use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
 use image::imageops::FilterType;
-use tiepoint_pipeline::io::ImageSource as _;
 use tiepoint_pipeline::sfm::geometry::{CameraModelKind, Intrinsics};
 use tiepoint_pipeline::{
     Calibration, Error, Event, FeatureOptions, Options, Photos, Report, Stage, Truth, Workspace,

@@ -4,7 +4,7 @@
 use libfuzzer_sys::fuzz_target;
 
 use tiepoint_fuzz::{folder, write};
-use tiepoint_io::{ImageFolder, ImageSource};
+use tiepoint_io::{ImageFolder};
 
 /// Large images take time and show nothing.
 const DEFAULT_MAX_PIXELS: u64 = 1 << 21;

@@ -89,7 +89,7 @@ pub fn write_model(dir: &Path) {
 }
 
 /// `rig.json` of that model.
-pub const RIG: &str = r#"{"reference": "left", "cameras": [
+pub const RIG: &str = r#"{"format": 1, "reference": "left", "cameras": [
   {"name": "right", "rotation_wxyz": [1.0, 0.0, 0.0, 0.0],
   "translation": [-0.5, 0.0, 0.0], "centre_in_rig": [0.5, 0.0, 0.0], "hold": "hard",
   "clock": {"timing": "together", "offset_s": 0.0, "offset_sd_s": null, "drift_ppm": 0.0,

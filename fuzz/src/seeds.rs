@@ -144,7 +144,7 @@ fn main() -> Outcome {
         "manifest",
         br#"{"program": "tiepoint", "files": {"1.jpg": {}, "a/2.png": "x", "../b/1.jpg": null}}"#,
     );
-    let stages = br#"{"version": 2, "inputs": ["/photos"], "stages": {"features":
+    let stages = br#"{"format": 1, "inputs": ["/photos"], "stages": {"features":
         {"is_complete": true, "input": "f", "options": {"seed": "0"}}}}"#;
     let mut records = stages.to_vec();
     records.extend(DIVIDER);

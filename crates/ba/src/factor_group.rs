@@ -5,6 +5,7 @@ use std::any::{Any, type_name};
 
 use nalgebra::SVector;
 use tiepoint_geometry::Loss;
+use tiepoint_simd::{Isa, Level};
 
 use crate::factor::{Factor, ValuesRef, Vars, prefetch, total_dof};
 use crate::variable::Values;
@@ -140,13 +141,14 @@ impl<F: Factor<R>, const R: usize> FactorGroup<F, R> {
     }
 
     fn linearize_by<const I: usize>(&self, values: &Values, factors: &[u32], out: Rows<'_>) {
-        #[cfg(target_arch = "x86_64")]
-        if std::arch::is_x86_feature_detected!("avx2") {
-            // SAFETY: the processor feature was just detected.
-            unsafe { self.linearize_avx2::<I>(values, factors, out) };
-            return;
+        match Isa::best().level() {
+            // SAFETY: an `Isa` of these levels is only constructed after detection of AVX2.
+            #[cfg(target_arch = "x86_64")]
+            Level::Avx512 | Level::Avx2 => unsafe {
+                self.linearize_avx2::<I>(values, factors, out);
+            },
+            Level::Portable => self.linearize_here::<I>(values, factors, out),
         }
-        self.linearize_here::<I>(values, factors, out);
     }
 
     fn linearize_alone<const I: usize>(&self, values: &Values, factors: &[u32], out: Rows<'_>) {
@@ -308,13 +310,12 @@ impl<F: Factor<R>, const R: usize> AnyFactorGroup for FactorGroup<F, R> {
     }
 
     fn costs(&self, values: &Values, factors: &[u32], out: &mut [f64]) {
-        #[cfg(target_arch = "x86_64")]
-        if std::arch::is_x86_feature_detected!("avx2") {
-            // SAFETY: the processor feature was just detected.
-            unsafe { self.costs_avx2(values, factors, out) };
-            return;
+        match Isa::best().level() {
+            // SAFETY: an `Isa` of these levels is only constructed after detection of AVX2.
+            #[cfg(target_arch = "x86_64")]
+            Level::Avx512 | Level::Avx2 => unsafe { self.costs_avx2(values, factors, out) },
+            Level::Portable => self.costs_here(values, factors, out),
         }
-        self.costs_here(values, factors, out);
     }
 
     fn find_not_finite(&self, values: &Values) -> Option<(usize, &'static str, f64)> {

@@ -1,6 +1,5 @@
 #![doc = include_str!("../README.md")]
 
-#[macro_use]
 mod simd;
 #[macro_use]
 pub mod cameras;
@@ -12,7 +11,6 @@ mod manifold;
 pub mod numeric;
 mod ransac;
 mod rigid3;
-mod rng;
 mod sim3;
 mod small_lm;
 pub mod so3;
@@ -27,5 +25,5 @@ pub use manifold::{Block, Manifold};
 pub use nalgebra;
 pub use ransac::{Estimator, RansacOptions, Report, ransac};
 pub use rigid3::Rigid3;
-pub use rng::Rng;
 pub use sim3::Sim3;
+pub use tiepoint_simd::Rng;

@@ -1,6 +1,4 @@
-//! SIMD by automatic vectorisation: a plain loop is compiled once per instruction set, and the
-//! function for the CPU is selected at run time. Rust neither contracts nor reassociates
-//! floating-point operations, so every instruction set gives the same bits.
+//! Data in blocks of eight, for loops that [`tiepoint_simd::dispatch`] compiles for wide registers.
 
 use std::ops::Range;
 
@@ -9,43 +7,6 @@ pub(crate) const LANES: usize = 8;
 
 /// One component of the eight data of a block.
 pub(crate) type Lanes = [f64; LANES];
-
-/// Defines a function that is compiled for AVX-512, AVX2 and the baseline, and runs the best
-/// version for the CPU. Only inlined code is compiled for the wider instruction sets: the body has
-/// no closures, and the functions that it calls are `#[inline(always)]`.
-macro_rules! dispatch {
-    (
-        $(#[$meta:meta])*
-        fn $name:ident$(<$M:ident: $bound:path>)?($($arg:ident: $type:ty),* $(,)?) $body:block
-    ) => {
-        $(#[$meta])*
-        fn $name$(<$M: $bound>)?($($arg: $type),*) {
-            #[inline(always)]
-            fn portable$(<$M: $bound>)?($($arg: $type),*) $body
-
-            #[cfg(target_arch = "x86_64")]
-            {
-                #[target_feature(enable = "avx512f")]
-                fn avx512$(<$M: $bound>)?($($arg: $type),*) {
-                    portable$(::<$M>)?($($arg),*);
-                }
-                #[target_feature(enable = "avx2")]
-                fn avx2$(<$M: $bound>)?($($arg: $type),*) {
-                    portable$(::<$M>)?($($arg),*);
-                }
-                if is_x86_feature_detected!("avx512f") {
-                    // SAFETY: the CPU supports the instruction set of the function.
-                    return unsafe { avx512$(::<$M>)?($($arg),*) };
-                }
-                if is_x86_feature_detected!("avx2") {
-                    // SAFETY: as above.
-                    return unsafe { avx2$(::<$M>)?($($arg),*) };
-                }
-            }
-            portable$(::<$M>)?($($arg),*);
-        }
-    };
-}
 
 /// Packs data in blocks of eight as structure of arrays: entry `k` of a block holds component `k`
 /// of its data. The last block is padded with its first datum.

@@ -66,3 +66,16 @@ pub fn left_jacobian_inverse(w: &Vector3<f64>) -> Matrix3<f64> {
     let hat_w = hat(w);
     Matrix3::identity() - hat_w * 0.5 + hat_w * hat_w * b
 }
+
+/// The rotation that turns the mean up direction of cameras to `up`. A camera's own up direction is
+/// −y. Without a mean, y is taken to point down, as in an image.
+pub fn upright<'a>(
+    cams_from_world: impl Iterator<Item = &'a UnitQuaternion<f64>>,
+    up: &Vector3<f64>,
+) -> UnitQuaternion<f64> {
+    let mean: Vector3<f64> =
+        cams_from_world.map(|rotation| rotation.inverse() * -Vector3::y()).sum();
+    UnitQuaternion::rotation_between(&mean, up).unwrap_or_else(|| {
+        UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI)
+    })
+}

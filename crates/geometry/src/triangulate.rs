@@ -1,8 +1,8 @@
 //! Triangulation of points from rays.
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix3, Vector2, Vector3};
 
-use crate::{Rigid3, epipolar::essential_from_pose};
+use crate::{Intrinsics, Rigid3, epipolar::essential_from_pose};
 
 /// Triangulates the point, in camera 1, of two corresponding rays of any length. The rays are
 /// corrected by the smallest angles that make them intersect (Lee and Civera 2019, "Closed-form
@@ -36,45 +36,123 @@ pub fn triangulate_two_view(
     (depth1 > 0.0 && depth2 > 0.0 && point.iter().all(|v| v.is_finite())).then_some(point)
 }
 
-/// Triangulates the world point of the rays of two or more cameras. `rays_in_cam[i]`, of any
-/// length, is in the frame of camera `i`.
-///
-/// Minimises the sum over the rays of |(I − yyᵀ)(RX + t)|² / |RX₀ + t|², where X₀ is the solution
-/// of the previous iteration. The weights make the cost approximate the sum of squared angles.
-/// `None` if the rays are parallel or the point is behind a camera.
-pub fn triangulate(
-    cams_from_world: &[Rigid3],
-    rays_in_cam: &[Vector3<f64>],
-) -> Option<Vector3<f64>> {
-    let mut point = None;
-    for _ in 0..NUM_REWEIGHTINGS {
-        let mut normal = Matrix3::zeros();
-        let mut rhs = Vector3::zeros();
-        for (cam_from_world, ray) in cams_from_world.iter().zip(rays_in_cam) {
-            let world_from_cam = cam_from_world.rotation.inverse();
-            let ray_in_world = world_from_cam * ray.normalize();
-            let centre = cam_from_world.origin_in_a();
-            let weight =
-                point.map_or(1.0, |point: Vector3<f64>| 1.0 / (point - centre).norm_squared());
-            let projector =
-                (Matrix3::identity() - ray_in_world * ray_in_world.transpose()) * weight;
-            normal += projector;
-            rhs += projector * centre;
-        }
-        let solution = normal.cholesky()?.solve(&rhs);
-        if !solution.iter().all(|v| v.is_finite()) {
-            return None;
-        }
-        point = Some(solution);
-    }
-    let point = point?;
-    let in_front =
-        |(cam_from_world, ray): (&Rigid3, &Vector3<f64>)| (*cam_from_world * point).dot(ray) > 0.0;
-    cams_from_world.iter().zip(rays_in_cam).all(in_front).then_some(point)
+/// A pixel of a camera of known pose, as a ray.
+#[derive(Clone, Copy, Debug)]
+pub struct ViewRay<'a> {
+    cam_from_world: &'a Rigid3,
+    intrinsics: &'a Intrinsics,
+    pixel: Vector2<f64>,
+    /// Camera centre.
+    centre_in_world: Vector3<f64>,
+    /// Unit ray through the pixel.
+    ray_in_world: Vector3<f64>,
 }
 
-/// Iterations of reweighted least squares in [`triangulate`].
-const NUM_REWEIGHTINGS: usize = 3;
+impl<'a> ViewRay<'a> {
+    /// The ray of a pixel of the camera with this pose. Returns `None` if the pixel has no ray.
+    pub fn new(
+        cam_from_world: &'a Rigid3,
+        intrinsics: &'a Intrinsics,
+        pixel: Vector2<f64>,
+    ) -> Option<Self> {
+        let ray_in_world = cam_from_world.rotation.inverse() * intrinsics.unproject(&pixel)?;
+        Some(Self {
+            cam_from_world,
+            intrinsics,
+            pixel,
+            centre_in_world: cam_from_world.origin_in_a(),
+            ray_in_world,
+        })
+    }
+
+    /// Squared reprojection error in pixels²; infinite if the point does not project.
+    fn squared_error(&self, xyz: &Vector3<f64>) -> f64 {
+        let point_in_cam = *self.cam_from_world * *xyz;
+        self.intrinsics.squared_error_px2(&point_in_cam, &self.pixel).unwrap_or(f64::INFINITY)
+    }
+}
+
+/// A triangulated point.
+#[derive(Clone, Debug)]
+pub struct Triangulated {
+    /// Position in the world frame.
+    pub xyz: Vector3<f64>,
+    /// Indices of the inlier rays.
+    pub inliers: Vec<usize>,
+}
+
+/// Up to this number of rays all pairs are hypotheses; above it, only pairs with one of the first
+/// rays.
+const MAX_EXHAUSTIVE: usize = 12;
+
+/// Triangulates a point with the smallest truncated squared reprojection error (MSAC, threshold
+/// `max_error_px`). Hypotheses are the midpoints of pairs of rays; the best is refined on its
+/// inliers. Returns `None` with fewer than two inliers, or with a triangulation angle below
+/// `min_angle_rad`.
+pub fn triangulate(
+    rays: &[ViewRay],
+    max_error_px: f64,
+    min_angle_rad: f64,
+) -> Option<Triangulated> {
+    let max_squared = max_error_px * max_error_px;
+    let max_cosine = min_angle_rad.cos();
+    let mut best: Option<(f64, Vector3<f64>)> = None;
+    for i in 0..rays.len().min(MAX_EXHAUSTIVE) {
+        for j in i + 1..rays.len() {
+            if rays[i].ray_in_world.dot(&rays[j].ray_in_world) > max_cosine {
+                continue;
+            }
+            let Some(xyz) = nearest_to_rays([&rays[i], &rays[j]].into_iter()) else { continue };
+            let score: f64 = rays.iter().map(|s| s.squared_error(&xyz).min(max_squared)).sum();
+            if best.is_none_or(|(least, _)| score < least) {
+                best = Some((score, xyz));
+            }
+        }
+    }
+    let (score, mut xyz) = best?;
+    let inliers_of = |xyz: &Vector3<f64>| {
+        (0..rays.len()).filter(|&i| rays[i].squared_error(xyz) < max_squared).collect()
+    };
+    let mut inliers: Vec<usize> = inliers_of(&xyz);
+    if inliers.len() > 2
+        && let Some(refined) = nearest_to_rays(inliers.iter().map(|&i| &rays[i]))
+        && rays.iter().map(|s| s.squared_error(&refined).min(max_squared)).sum::<f64>() < score
+    {
+        xyz = refined;
+        inliers = inliers_of(&xyz);
+    }
+    let has_angle = inliers.iter().enumerate().any(|(n, &i)| {
+        inliers[..n].iter().any(|&j| angle_cosine(&rays[i], &rays[j], &xyz) <= max_cosine)
+    });
+    (inliers.len() >= 2 && has_angle).then_some(Triangulated { xyz, inliers })
+}
+
+/// Cosine of the triangulation angle.
+fn angle_cosine(a: &ViewRay, b: &ViewRay, xyz: &Vector3<f64>) -> f64 {
+    (a.centre_in_world - xyz).normalize().dot(&(b.centre_in_world - xyz).normalize())
+}
+
+/// The point with the least squared distances from all rays, each weighted by the inverse square of
+/// its length in a second iteration, so that angles are minimised: Σ w (I − d dᵀ)(x − c) = 0. `None`
+/// if the rays do not determine it. The point may be behind a camera; [`triangulate`] checks that.
+pub fn nearest_to_rays<'a>(
+    rays: impl Iterator<Item = &'a ViewRay<'a>> + Clone,
+) -> Option<Vector3<f64>> {
+    let mut xyz: Option<Vector3<f64>> = None;
+    for _ in 0..2 {
+        let (mut a, mut b) = (Matrix3::zeros(), Vector3::zeros());
+        for ray in rays.clone() {
+            let weight = xyz.map_or(1.0, |x| 1.0 / (x - ray.centre_in_world).norm_squared());
+            let projector =
+                (Matrix3::identity() - ray.ray_in_world * ray.ray_in_world.transpose()) * weight;
+            a += projector;
+            b += projector * ray.centre_in_world;
+        }
+        xyz = Some(a.cholesky()?.solve(&b)).filter(|x| x.iter().all(|v| v.is_finite()));
+        xyz?;
+    }
+    xyz
+}
 
 /// The angle at a point, in radians, between the rays to two camera centres. All arguments are in
 /// the same frame.

@@ -4,6 +4,7 @@ use std::path::Path;
 
 use crate::Result;
 use crate::counted_file::CountedFile;
+use crate::ply::header;
 
 /// Writes points one after the other.
 #[derive(Debug)]
@@ -41,14 +42,7 @@ impl FusedPly {
     /// If the file cannot be written.
     pub fn finish(self) -> Result<u64> {
         let count = self.0.count;
-        let mut header = format!("ply\nformat binary_little_endian 1.0\nelement vertex {count}\n");
-        for name in ["x", "y", "z", "nx", "ny", "nz"] {
-            header += &format!("property float {name}\n");
-        }
-        for name in ["red", "green", "blue"] {
-            header += &format!("property uchar {name}\n");
-        }
-        header += "end_header\n";
+        let header = header(None, count, &["x", "y", "z", "nx", "ny", "nz"]);
         self.0.finish(header.as_bytes())?;
         Ok(count)
     }

@@ -15,9 +15,9 @@ use std::path::Path;
 
 use serde::Serialize;
 use serde_json::{Map, Value, json};
-use tiepoint_geometry::Rigid3;
 use tiepoint_geometry::nalgebra::{UnitQuaternion, Vector2, Vector3};
 use tiepoint_geometry::numeric::median;
+use tiepoint_geometry::{Rigid3, so3};
 use tiepoint_scene::{Camera, CameraId, Reconstruction};
 
 use crate::ply::Vertex;
@@ -85,12 +85,8 @@ impl Document {
 pub fn write(path: &Path, model: &Reconstruction, clouds: &[(&str, &[Vertex])]) -> Result<usize> {
     model.validate().map_err(|cause| Error::Model { path: path.to_owned(), cause })?;
     let origin = origin(model, clouds);
-    let up: Vector3<f64> =
-        model.registered().map(|(.., pose)| pose.rotation.inverse() * -Vector3::y()).sum();
-    // Without an up direction, y points down, as in an image.
-    let rotation = UnitQuaternion::rotation_between(&up, &Vector3::y()).unwrap_or_else(|| {
-        UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI)
-    });
+    let rotations = model.registered().map(|(.., pose)| &pose.rotation);
+    let rotation = so3::upright(rotations, &Vector3::y());
     let mut document = Document {
         asset: json!({ "generator": "tiepoint", "version": "2.0" }),
         scene: 0,

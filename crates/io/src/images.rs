@@ -25,7 +25,7 @@ const MAX_DEPTH: usize = 16;
 pub struct SourceImage {
     /// Path relative to the input, with `/`.
     pub name: String,
-    /// The camera: an index into [`ImageSource::camera_names`].
+    /// The camera: an index into [`ImageFolder::camera_names`].
     pub camera: CameraId,
 }
 
@@ -41,39 +41,6 @@ pub struct ImageInfo {
     pub time_s: Option<f64>,
     /// The EXIF data.
     pub exif: Exif,
-}
-
-/// Images of one or more cameras. Pixels are decoded on demand, from any thread.
-pub trait ImageSource: Send + Sync {
-    /// All images in byte order of their names; the images of a camera are contiguous.
-    fn images(&self) -> &[SourceImage];
-    /// The cameras in the order of their first images.
-    fn camera_names(&self) -> &[String];
-    /// Size, time and EXIF data of an image.
-    ///
-    /// # Errors
-    ///
-    /// If the file cannot be read, is not an image, or is larger than permitted.
-    fn info(&self, index: usize) -> Result<ImageInfo>;
-    /// The grey image, upright.
-    ///
-    /// # Errors
-    ///
-    /// If the file cannot be decoded, or is larger than permitted.
-    fn luma(&self, index: usize) -> Result<Luma>;
-    /// The colour image, upright.
-    ///
-    /// # Errors
-    ///
-    /// If the file cannot be decoded, or is larger than permitted.
-    fn rgb(&self, index: usize) -> Result<Rgb>;
-    /// The mask of an image, of equal size: no features are detected where it is 0. `None` without
-    /// a mask.
-    ///
-    /// # Errors
-    ///
-    /// If the mask cannot be decoded, or does not have the size of the image.
-    fn mask(&self, index: usize) -> Result<Option<Luma>>;
 }
 
 /// A file with the name of an image that cannot be used, or a folder of such files.
@@ -302,38 +269,57 @@ impl ImageFolder {
     pub fn mask_path(&self, index: usize) -> Option<&Path> {
         self.masks[index].as_deref()
     }
-}
 
-impl ImageSource for ImageFolder {
-    fn images(&self) -> &[SourceImage] {
+    /// All images in byte order of their names; the images of a camera are contiguous.
+    pub fn images(&self) -> &[SourceImage] {
         &self.images
     }
 
-    fn camera_names(&self) -> &[String] {
+    /// The cameras in the order of their first images.
+    pub fn camera_names(&self) -> &[String] {
         &self.cameras
     }
 
-    fn info(&self, index: usize) -> Result<ImageInfo> {
+    /// Size, time and EXIF data of an image.
+    ///
+    /// # Errors
+    ///
+    /// If the file cannot be read, is not an image, or is larger than permitted.
+    pub fn info(&self, index: usize) -> Result<ImageInfo> {
         let path = &self.paths[index];
         let (exif, width, height) = self.header(path)?;
         let stem = path.file_stem().and_then(|stem| stem.to_str());
         Ok(ImageInfo { width, height, time_s: stem.and_then(time_from_name).or(exif.time_s), exif })
     }
 
-    fn luma(&self, index: usize) -> Result<Luma> {
+    /// The grey image, upright.
+    ///
+    /// # Errors
+    ///
+    /// If the file cannot be decoded, or is larger than permitted.
+    pub fn luma(&self, index: usize) -> Result<Luma> {
         Luma::read_turned(&self.paths[index], &SizeLimit::Pixels(self.max_pixels), self.turn)
     }
 
-    fn rgb(&self, index: usize) -> Result<Rgb> {
+    /// The colour image, upright.
+    ///
+    /// # Errors
+    ///
+    /// If the file cannot be decoded, or is larger than permitted.
+    pub fn rgb(&self, index: usize) -> Result<Rgb> {
         Rgb::read_turned(&self.paths[index], &SizeLimit::Pixels(self.max_pixels), self.turn)
     }
 
-    fn mask(&self, index: usize) -> Result<Option<Luma>> {
+    /// The mask of an image, of equal size: no features are detected where it is 0. `None` without
+    /// a mask.
+    ///
+    /// # Errors
+    ///
+    /// If the mask cannot be decoded, or does not have the size of the image.
+    pub fn mask(&self, index: usize) -> Result<Option<Luma>> {
         self.with_mask(index, |path, limit| Luma::read_turned(path, limit, self.turn))
     }
-}
 
-impl ImageFolder {
     /// Checks, by its header alone, that the mask of an image, if there is one, has its size.
     ///
     /// # Errors

@@ -45,13 +45,8 @@ pub fn camera_centres(model: &Reconstruction) -> Vec<Vertex> {
 /// If the file cannot be written.
 pub fn write(path: &Path, vertices: &[Vertex]) -> Result<()> {
     AtomicFile::write_with(path, |file| {
-        write!(
-            file,
-            "ply\nformat binary_little_endian 1.0\ncomment tiepoint\nelement vertex {}\n\
-             property float x\nproperty float y\nproperty float z\n\
-             property uchar red\nproperty uchar green\nproperty uchar blue\nend_header\n",
-            vertices.len()
-        )?;
+        let count = vertices.len() as u64;
+        file.write_all(header(Some("tiepoint"), count, &["x", "y", "z"]).as_bytes())?;
         vertices.iter().try_for_each(|vertex| {
             vertex
                 .xyz
@@ -60,6 +55,22 @@ pub fn write(path: &Path, vertices: &[Vertex]) -> Result<()> {
             file.write_all(&vertex.color)
         })
     })
+}
+
+/// The header of a binary little-endian file of vertices: `floats`, then red, green and blue.
+pub(crate) fn header(comment: Option<&str>, count: u64, floats: &[&str]) -> String {
+    let mut header = "ply\nformat binary_little_endian 1.0\n".to_owned();
+    if let Some(comment) = comment {
+        header += &format!("comment {comment}\n");
+    }
+    header += &format!("element vertex {count}\n");
+    for name in floats {
+        header += &format!("property float {name}\n");
+    }
+    for name in ["red", "green", "blue"] {
+        header += &format!("property uchar {name}\n");
+    }
+    header + "end_header\n"
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

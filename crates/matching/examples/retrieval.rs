@@ -24,6 +24,7 @@ use tiepoint_matching::{
     GlobalDescriptor, ImageWords, InvertedIndex, RetrievalIndex, Vocabulary, VocabularyOptions,
     VocabularyTree,
 };
+use tiepoint_simd::Rng;
 
 /// As in the pipeline.
 const DESCRIPTORS_PER_WORD: usize = 128;
@@ -215,10 +216,7 @@ fn simulated(place: u64, i: u64, photo: u64) -> Descriptor {
     })
 }
 
-/// The output function of SplitMix64.
+/// Random bits that depend on these.
 fn mix(z: u64) -> u64 {
-    let z = z.wrapping_add(0x9E37_79B9_7F4A_7C15);
-    let z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-    let z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-    z ^ (z >> 31)
+    Rng::from_state(z).next_u64()
 }

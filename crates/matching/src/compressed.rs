@@ -165,7 +165,7 @@ mod tests {
     use super::*;
     use crate::distance::squared_distance;
     use crate::packed::Vectors;
-    use crate::random::SplitMix64;
+    use crate::random::stream;
 
     #[test]
     fn transform_is_orthonormal() {
@@ -185,7 +185,7 @@ mod tests {
     #[test]
     fn bounds_do_not_exceed_distances() {
         const COUNT: usize = 60;
-        let mut random = SplitMix64::new(5, 0);
+        let mut random = stream(5, 0);
         // All byte values; the two extreme values only; seven values.
         for levels in [256, 2, 7] {
             let mut byte = || (random.below(levels) * 255 / (levels - 1)) as u8;

@@ -31,18 +31,6 @@ pub enum Error {
         /// The invalid time, in seconds.
         time_s: f64,
     },
-    /// A pair contains an image index that is out of range.
-    #[error(
-        "the pair {a}, {b} has an image index that is not below the number of images, {images}"
-    )]
-    PairRange {
-        /// First image.
-        a: u32,
-        /// Second image.
-        b: u32,
-        /// Number of images.
-        images: u32,
-    },
     /// An option is out of its range.
     #[error("{name} is {value}; it must be {range}")]
     Option {

@@ -28,7 +28,7 @@ pub use guided::{EpipolarGuide, match_guided};
 pub use matcher::{match_features, match_pairs, match_prepared, select};
 pub use matches::{Match, Nearest};
 pub use options::{Method, Options, PreemptiveMatching};
-pub use pairs::{Ends, Pair, PairSelection, Sequence, listed_pairs};
+pub use pairs::{Ends, Pair, PairSelection, Sequence};
 pub use prepared::Prepared;
 pub use retrieval::{
     GlobalDescriptor, ImageWords, InvertedIndex, RetrievalIndex, Similar, Vocabulary,

@@ -232,18 +232,6 @@ fn push_neighbours(pairs: &mut Vec<Pair>, from: &Sequence, to: &Sequence, reach:
     }
 }
 
-/// Normalises a list of pairs: sorted, the lower index first, without duplicates and without pairs
-/// of an image with itself. `images` is the number of images.
-///
-/// # Errors
-/// [`Error::PairRange`] if an index is out of range.
-pub fn listed_pairs(list: &[Pair], images: u32) -> Result<Vec<Pair>, Error> {
-    match list.iter().find(|&&(a, b)| a >= images || b >= images) {
-        Some(&(a, b)) => Err(Error::PairRange { a, b, images }),
-        None => Ok(normalise(list.to_vec())),
-    }
-}
-
 /// Sorts pairs, with the lower index first, and removes duplicates and pairs of equal indices.
 pub(crate) fn normalise(mut pairs: Vec<Pair>) -> Vec<Pair> {
     pairs.retain(|(i, j)| i != j);

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use tiepoint_io::calibration::{self, CameraCalibration};
-use tiepoint_io::{Exif, ImageFolder, ImageInfo, ImageSource};
+use tiepoint_io::{Exif, ImageFolder, ImageInfo};
 use tiepoint_sfm::scene::Camera;
 
 use crate::fingerprint::of_text;

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use tiepoint_io::{ImageFolder, ImageSource, Rgb};
+use tiepoint_io::{ImageFolder, Rgb};
 use tiepoint_sfm::scene::{Camera, Image, PointId, Reconstruction};
 
 use crate::Error;

@@ -6,6 +6,11 @@ fn comma_separated(paths: &[PathBuf]) -> String {
     paths.iter().map(|path| path.display().to_string()).collect::<Vec<_>>().join(", ")
 }
 
+fn format_name(format: Option<u64>) -> String {
+    let number = |format| format!("format {format}");
+    format.map_or_else(|| "the format of a version before 0.1.0".to_owned(), number)
+}
+
 /// Why a call failed. Each message is one sentence: what failed, on which file, and what to do.
 /// Results of earlier stages stay on disk.
 #[derive(Debug, thiserror::Error)]
@@ -67,6 +72,20 @@ pub enum Error {
         path: PathBuf,
         /// The defect.
         what: String,
+    },
+    /// Another version of the program wrote a file of the workspace.
+    #[error(
+        "{path} has {}, and this version reads format {known}: use the version that wrote it, or \
+        make the workspace again in another folder",
+        format_name(*found)
+    )]
+    OtherFormat {
+        /// The file.
+        path: PathBuf,
+        /// Its format; `None` for one of before 0.1.0.
+        found: Option<u64>,
+        /// The format that is read.
+        known: u64,
     },
     /// The database is damaged.
     #[error("{cause}: give --redo features to make {path} again")]

@@ -26,7 +26,7 @@ use crate::model_location::ModelLocation;
 use crate::model_photos::{photos_of, write_undistorted};
 use crate::ordered::for_each_within_budget;
 use crate::output_file::{COMMENT_MARK, GLTF_MARK, LAS_MARK, PLY_MARK, write_file};
-use crate::output_folder::{OutputFolder, model_names, output};
+use crate::output_folder::{OutputFolder, model_names, output, renamed};
 use crate::rigid::{RigidReport, rigid_model};
 use crate::workspace::{REPORT, is_workspace, refuse_workspace};
 use crate::{Error, Report, rolling_shutter};
@@ -391,7 +391,7 @@ fn export_nerfstudio(
         ply::write(&folder.stage(CLOUD)?, &ply::points(model))?;
         let staged = folder.stage(TRANSFORMS)?;
         nerfstudio::write_with_motion(&staged, model, IMAGES, Some(CLOUD), motions)
-            .map_err(|error| renamed(error, &to.join(TRANSFORMS)))?;
+            .map_err(|error| renamed(error, &staged, &to.join(TRANSFORMS)))?;
         Ok(names.to_vec())
     })
 }
@@ -416,8 +416,9 @@ fn export_gsplat(
     let mut names = model_names(Some(SPARSE));
     names.push(ROWS.to_owned());
     with_photos(from, &model, to, &names, &inputs, |folder| {
-        gsplat::write(&folder.stage(ROWS)?, &model, IMAGES, &rows)
-            .map_err(|error| renamed(error, &to.join(ROWS)))?;
+        let staged = folder.stage(ROWS)?;
+        gsplat::write(&staged, &model, IMAGES, &rows)
+            .map_err(|error| renamed(error, &staged, &to.join(ROWS)))?;
         let mut staged = folder.stage_model(Some(SPARSE), &model, Format::Binary)?;
         staged.push(ROWS.to_owned());
         Ok(staged)
@@ -468,16 +469,6 @@ fn with_photos(
     staged.extend(write(&folder)?);
     folder.publish(&staged, &[])?;
     Ok(photos.len() - copied.len())
-}
-
-/// The error with the file for which the user asked, not the one that becomes it.
-fn renamed(error: tiepoint_io::Error, path: &Path) -> tiepoint_io::Error {
-    match error {
-        tiepoint_io::Error::Content { what, .. } => {
-            tiepoint_io::Error::Content { path: path.to_owned(), what }
-        }
-        other => other,
-    }
 }
 
 /// Registered images of the first camera and their poses (`cam_from_world`), ordered by name.

@@ -3,7 +3,7 @@
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use tiepoint_io::features::{self as sift, Features, GrayView, Sift};
-use tiepoint_io::{ImageInfo, Luma};
+use tiepoint_io::{ImageFolder, ImageInfo, Luma};
 
 use crate::Error;
 
@@ -32,6 +32,16 @@ impl Extractors {
         let features = sift.extract(&view(image), mask.map(view).as_ref())?;
         self.idle().push(sift);
         Ok(features)
+    }
+
+    /// Extracts the features of a photo, where its mask is not 0.
+    pub(crate) fn extract_photo(
+        &self,
+        photos: &ImageFolder,
+        index: usize,
+    ) -> Result<Features, Error> {
+        let (image, mask) = (photos.luma(index)?, photos.mask(index)?);
+        self.extract(&image, mask.as_ref())
     }
 
     fn idle(&self) -> MutexGuard<'_, Vec<Sift>> {

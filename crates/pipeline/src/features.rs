@@ -5,7 +5,6 @@ use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use tiepoint_io::ImageSource;
 use tiepoint_io::database::{Database, read_stage_rows};
 use tiepoint_io::features::{self as sift, Features};
 use tiepoint_io::{DEFAULT_MAX_PIXELS, ImageInfo, timestamps};
@@ -154,7 +153,8 @@ pub fn extract_features(
     }
 
     let extractors = Extractors::new(options.detector);
-    let work = |(_, photo): &(ImageId, &Photo)| extract(photos, photo.index, &extractors);
+    let work =
+        |(_, photo): &(ImageId, &Photo)| extractors.extract_photo(&photos.folder, photo.index);
     let bytes = |(_, photo): &(ImageId, &Photo)| memory_of(&photo.info);
     let budget = budget_bytes();
     let taken = for_each_within_budget(
@@ -284,9 +284,4 @@ fn is_sqlite(path: &Path) -> bool {
     let read =
         File::open(path).and_then(|file| file.take(HEADER.len() as u64).read_to_end(&mut head));
     read.is_ok() && head == HEADER
-}
-
-fn extract(photos: &Photos, index: usize, extractors: &Extractors) -> Result<Features, Error> {
-    let (image, mask) = (photos.folder.luma(index)?, photos.folder.mask(index)?);
-    extractors.extract(&image, mask.as_ref())
 }

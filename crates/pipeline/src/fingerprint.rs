@@ -10,7 +10,7 @@ use std::io::{self, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
-use tiepoint_io::{ImageFolder, ImageSource, require_regular_file};
+use tiepoint_io::{ImageFolder, require_regular_file};
 
 use crate::Error;
 

@@ -158,14 +158,14 @@ mod tests {
             ..RigCamera::default()
         };
         let rig = RigFile {
-            bad_pairs: None,
+            bad_pairs: Vec::new(),
             reference: "left".to_owned(),
             cameras: vec![camera("right", -0.5, 0.25), camera("rear", -0.5, -1.0)],
         };
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("rig.json");
         assert!(matches!(camchain(&model, &path), Err(Error::NoRig { .. })));
-        std::fs::write(&path, serde_json::to_vec(&rig).unwrap()).unwrap();
+        std::fs::write(&path, rig.to_json()).unwrap();
         let (text, count) = camchain(&model, &path).unwrap();
         assert_eq!(count, 3);
         let first = "cam0:\n  rostopic: /left\n  resolution: [640, 480]\n  camera_model: \

@@ -8,15 +8,13 @@ use rayon::prelude::*;
 use serde::Serialize;
 use tiepoint_io::colmap::{Format, read_model};
 use tiepoint_io::database::Database;
-use tiepoint_io::features::{self as sift, Features, GrayView, Sift};
-use tiepoint_io::{DEFAULT_MAX_PIXELS, Exif, ImageFolder, ImageInfo, ImageSource};
+use tiepoint_io::features::{self as sift, Features};
+use tiepoint_io::{DEFAULT_MAX_PIXELS, Exif, ImageFolder, ImageInfo};
 use tiepoint_sfm::geometry::Rng;
-use tiepoint_sfm::matching::{
-    self, GlobalDescriptor, Prepared, RetrievalIndex, Vocabulary, VocabularyOptions, match_prepared,
-};
+use tiepoint_sfm::matching::{self, RetrievalIndex, Vocabulary};
 use tiepoint_sfm::scene::{
-    Camera, CameraId, CorrespondenceGraph, Image, ImageId, ImagePair, Keypoint, Match, Observation,
-    Reconstruction, TwoView,
+    Camera, CameraId, CorrespondenceGraph, Image, ImageId, ImagePair, Observation, Reconstruction,
+    TwoView,
 };
 use tiepoint_sfm::{
     FilterOptions, Localization, QueryCamera, RegisterOptions, VerifyOptions, View, localize_image,
@@ -27,7 +25,10 @@ use crate::calibration::{CalibrationSource, Calibrations};
 use crate::cameras::Calibration;
 use crate::database_scene::read_scene;
 use crate::export::{model_files, write_colmap};
+use crate::extractors::Extractors;
 use crate::keypoints::keypoint;
+use crate::loaded_features::LoadedFeatures;
+use crate::pair_choice::learn_retrieval;
 use crate::workspace::{DATABASE, current_records, is_workspace};
 use crate::{Error, Event, Watch, emit, model_folder};
 
@@ -36,9 +37,9 @@ use crate::{Error, Event, Watch, emit, model_folder};
 const MAX_IMAGES: usize = 50;
 /// Cameras of the model that a photo is tried with, those of most images first.
 const MAX_CAMERAS: usize = 4;
-/// Size of the sample that the visual vocabulary is learnt from, as in matching.
-const SAMPLE_IMAGES: usize = 256;
-const SAMPLE_DESCRIPTORS: usize = 200;
+/// Cameras of the model, those of most images first, whose photos are opened for their EXIF data: a
+/// model of single photos has a camera for each.
+const MAX_EXIF_CAMERAS: usize = 256;
 /// Images of the model that are kept in memory, of 1.4 MiB each with 8192 features.
 const MAX_LOADED: usize = 256;
 
@@ -244,21 +245,6 @@ impl LocalizedPhoto {
     }
 }
 
-/// Features of an image in memory.
-struct Loaded {
-    keypoints: Vec<Keypoint>,
-    descriptors: Prepared,
-}
-
-impl Loaded {
-    fn new(features: &Features) -> Self {
-        Self {
-            keypoints: features.keypoints.iter().map(keypoint).collect(),
-            descriptors: Prepared::new(&features.descriptors),
-        }
-    }
-}
-
 /// A photo in the scene.
 struct Query {
     image: ImageId,
@@ -276,19 +262,20 @@ struct Map {
     /// The images with points.
     posed: Vec<ImageId>,
     /// Cameras of the model, those of most images first, with what is known of their photos.
-    cameras: Vec<(CameraId, Option<CameraFacts>)>,
+    cameras: Vec<(CameraId, Option<ExifKey>)>,
     retrieval: Option<(Vocabulary, RetrievalIndex)>,
-    loaded: BTreeMap<ImageId, Loaded>,
+    loaded: BTreeMap<ImageId, LoadedFeatures>,
+    extractors: Extractors,
 }
 
 /// What the photos of a camera have in common: the body, the lens and its setting.
 #[derive(Clone, Debug, PartialEq)]
-struct CameraFacts {
+struct ExifKey {
     device: tiepoint_io::Device,
     setting: [Option<f64>; 3],
 }
 
-impl CameraFacts {
+impl ExifKey {
     fn new(exif: &Exif) -> Self {
         let setting = [exif.focal_mm, exif.focal_35mm, exif.digital_zoom];
         Self { device: exif.device.clone(), setting }
@@ -323,12 +310,22 @@ impl Map {
             });
         }
         let retrieval = match posed.len() > MAX_IMAGES {
-            true => Some(retrieval(&database, &posed, options.seed)?),
+            true => Some(learn_retrieval(&database, &posed, options.seed)?),
             false => None,
         };
-        let cameras = facts_of_cameras(root, &scene);
-        let loaded = BTreeMap::new();
-        Ok(Self { folder, database_file, database, scene, posed, cameras, retrieval, loaded })
+        let cameras = exif_of_cameras(root, &scene);
+        let (loaded, extractors) = (BTreeMap::new(), Extractors::new(options.detector));
+        Ok(Self {
+            folder,
+            database_file,
+            database,
+            scene,
+            posed,
+            cameras,
+            retrieval,
+            loaded,
+            extractors,
+        })
     }
 
     /// Adds a photo to the scene. The inner error says why it cannot be used.
@@ -352,7 +349,7 @@ impl Map {
         };
         let cameras = self.cameras_of(name, index, &info, calibrations, options)?;
         // Not the features of the database, whose image of this name may be another photo.
-        let features = match extract(photos, index, &options.detector) {
+        let features = match self.extractors.extract_photo(photos, index) {
             Ok(features) => features,
             Err(error) => return Ok(Err(error.to_string())),
         };
@@ -387,11 +384,11 @@ impl Map {
             let camera = options.calibration.of_photo(name, info)?;
             return Ok(vec![known(camera.intrinsics, CameraSource::Calibration)]);
         }
-        let facts = CameraFacts::new(&info.exif);
-        let is_same = |(camera, known): &&(CameraId, Option<CameraFacts>)| {
+        let key = ExifKey::new(&info.exif);
+        let is_same = |(camera, known): &&(CameraId, Option<ExifKey>)| {
             let Camera { width, height, .. } = *self.scene.camera(*camera);
             (width, height) == (info.width, info.height)
-                && known.as_ref().is_none_or(|known| *known == facts)
+                && known.as_ref().is_none_or(|known| *known == key)
         };
         let is_asked =
             matches!(options.calibration, Calibration::Unknown { focal_px: Some(_), .. });
@@ -418,16 +415,14 @@ impl Map {
     ) -> Result<Result<Localization, usize>, Error> {
         let candidates = self.similar_images(query);
         self.load(&candidates)?;
-        let own = Loaded::new(&query.features);
+        let own = LoadedFeatures::new(&query.features);
         let (loaded, scene) = (&self.loaded, &self.scene);
         let two_views: Vec<Option<(ImagePair, TwoView)>> = candidates
             .par_iter()
             .map(|&image| {
                 let other = &loaded[&image];
                 let pair = ImagePair::new(image, query.image)?;
-                let found =
-                    match_prepared(&other.descriptors, &own.descriptors, &options.descriptors);
-                let matches: Vec<Match> = found.iter().map(|m| Match { a: m.a, b: m.b }).collect();
+                let matches = other.matches(&own, &options.descriptors);
                 let view = |keypoints, image| View { keypoints, camera: scene.camera_of(image) };
                 let key = [u64::from(pair.a.0), u64::from(pair.b.0)];
                 let seed = Rng::stream(options.seed, &key).next_u64();
@@ -477,7 +472,7 @@ impl Map {
         for &image in images {
             if !self.loaded.contains_key(&image) {
                 let features = self.database.read_features(image)?;
-                self.loaded.insert(image, Loaded::new(&features));
+                self.loaded.insert(image, LoadedFeatures::new(&features));
             }
         }
         Ok(())
@@ -496,30 +491,9 @@ impl Map {
     }
 }
 
-/// A vocabulary of a sample of images, and the index of all.
-fn retrieval(
-    database: &Database,
-    images: &[ImageId],
-    seed: u64,
-) -> Result<(Vocabulary, RetrievalIndex), Error> {
-    let mut sample = Vec::new();
-    for image in images.iter().step_by(images.len().div_ceil(SAMPLE_IMAGES).max(1)) {
-        let features = database.read_features(*image)?;
-        sample.extend(Vocabulary::sample(&features.descriptors, SAMPLE_DESCRIPTORS).copied());
-    }
-    let vocabulary = Vocabulary::learn(&sample, &VocabularyOptions { seed, ..Default::default() });
-    let mut index = RetrievalIndex::default();
-    for image in images {
-        let described: GlobalDescriptor =
-            vocabulary.describe(&database.read_features(*image)?.descriptors);
-        index.push(&described);
-    }
-    Ok((vocabulary, index))
-}
-
 /// The cameras of a model, those of most images first, and the facts in EXIF of a photo of each; of
 /// a camera whose photos cannot be read nothing is known.
-fn facts_of_cameras(root: &Path, scene: &Reconstruction) -> Vec<(CameraId, Option<CameraFacts>)> {
+fn exif_of_cameras(root: &Path, scene: &Reconstruction) -> Vec<(CameraId, Option<ExifKey>)> {
     let records = is_workspace(root).then(|| current_records(root).ok()).flatten();
     let photos = records.and_then(|records| ImageFolder::open(&records.inputs, None).ok());
     let facts = |camera: CameraId| {
@@ -528,7 +502,7 @@ fn facts_of_cameras(root: &Path, scene: &Reconstruction) -> Vec<(CameraId, Optio
             scene.registered().any(|(_, image, _)| image.camera == camera && image.name == name)
         };
         let index = photos.images().iter().position(|photo| of_camera(&photo.name))?;
-        Some(CameraFacts::new(&photos.info(index).ok()?.exif))
+        Some(ExifKey::new(&photos.info(index).ok()?.exif))
     };
     let count = |camera: CameraId| {
         scene.registered().filter(|(_, image, _)| image.camera == camera).count()
@@ -537,18 +511,8 @@ fn facts_of_cameras(root: &Path, scene: &Reconstruction) -> Vec<(CameraId, Optio
         scene.cameras().map(|(camera, _)| (count(camera), camera)).collect();
     cameras.retain(|(count, _)| *count > 0);
     cameras.sort_by_key(|(count, camera)| (std::cmp::Reverse(*count), *camera));
-    // The photos of few cameras are looked at: a model of single photos has a camera for each.
     let known = |(order, (_, camera)): (usize, (usize, CameraId))| {
-        (camera, if order < SAMPLE_IMAGES { facts(camera) } else { None })
+        (camera, if order < MAX_EXIF_CAMERAS { facts(camera) } else { None })
     };
     cameras.into_iter().enumerate().map(known).collect()
-}
-
-fn extract(photos: &ImageFolder, index: usize, options: &sift::Options) -> Result<Features, Error> {
-    let (image, mask) = (photos.luma(index)?, photos.mask(index)?);
-    let gray = GrayView::new(&image.data, image.width as usize, image.height as usize);
-    let mask = mask
-        .as_ref()
-        .map(|mask| GrayView::new(&mask.data, mask.width as usize, mask.height as usize));
-    Ok(Sift::new(*options)?.extract(&gray, mask.as_ref())?)
 }

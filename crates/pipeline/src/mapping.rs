@@ -21,7 +21,7 @@ use crate::database_scene::read_scene;
 use crate::file_names::{SPARSE, is_rig_name, model_path, rig_name};
 use crate::input_model::{InputModel, OpenedModel};
 use crate::output_folder::model_names;
-use crate::records::{Progress, Recipe, json};
+use crate::records::{Progress, Recipe};
 use crate::rig_calibration::known_rigs;
 use crate::rig_file::RigFile;
 use crate::scale::{ScaleReport, scale_to_baseline};
@@ -443,7 +443,7 @@ fn stage_models(workspace: &Workspace, models: &[MappedModel]) -> Result<Vec<Str
     for (index, MappedModel { reconstruction, rig, .. }) in models.iter().enumerate() {
         if let Some(rig) = rig.as_ref().and_then(|rig| RigFile::new(reconstruction, rig)) {
             let name = rig_name(index);
-            workspace.folder.stage_bytes(&name, &json(&rig))?;
+            workspace.folder.stage_bytes(&name, &rig.to_json())?;
             names.push(name);
         }
         names.extend(workspace.folder.stage_model(
@@ -459,11 +459,8 @@ fn stage_models(workspace: &Workspace, models: &[MappedModel]) -> Result<Vec<Str
 mod tests {
     use tiepoint_sfm::geometry::nalgebra::{UnitQuaternion, Vector3};
     use tiepoint_sfm::geometry::{CameraModelKind, Intrinsics, Rigid3};
-    use tiepoint_sfm::rig::Clock;
     use tiepoint_sfm::scene::{Camera, ImagePair};
-    use tiepoint_sfm::{
-        CalibratedCamera, CalibratedRig, ClockState, RigConstraint, RigPair, SensorPair,
-    };
+    use tiepoint_sfm::{CalibratedCamera, CalibratedRig, RigConstraint, RigPair, SensorPair};
 
     use super::*;
 
@@ -480,14 +477,8 @@ mod tests {
         });
         model.register(left, Rigid3::identity());
         model.register(right, cam_from_rig);
-        let sensor_pair = SensorPair {
-            reference: model.image(left).camera,
-            other: model.image(right).camera,
-            clock: Clock::default(),
-            clock_state: ClockState::Synchronised,
-            assumed_baseline: None,
-            unobservable_direction: None,
-        };
+        let sensor_pair =
+            SensorPair::synchronised(model.image(left).camera, model.image(right).camera);
         let constraint = RigConstraint::Soft { sigma_translation: 0.1, sigma_rotation_rad: 0.1 };
         let camera = CalibratedCamera {
             sensor_pair,
@@ -538,11 +529,11 @@ mod tests {
         let centre = |rig: &RigFile| rig.cameras[0].centre_in_rig[0];
         let [first, second, third] = [0, 1, 2].map(rig);
         assert_eq!(centre(&first.clone().unwrap()), 1.0);
-        assert_eq!(first.unwrap().bad_pairs, Some(Vec::new()));
+        assert_eq!(first.unwrap().bad_pairs, [[""; 2]; 0]);
         assert_eq!(second, None);
         assert_eq!(centre(&third.clone().unwrap()), 2.0);
         let pair = ["left/0.png", "right/0.png"].map(str::to_owned);
-        assert_eq!(third.unwrap().bad_pairs, Some(vec![pair]));
+        assert_eq!(third.unwrap().bad_pairs, [pair]);
         // New models replace all files of the old ones.
         let replaced = replaced_names(&workspace);
         for name in ["rig.json", "rig-2.json", "sparse/2/images.bin"] {

@@ -8,13 +8,14 @@ use std::time::Instant;
 
 use rayon::prelude::*;
 use tiepoint_io::database::Database;
+use tiepoint_io::features::Features;
 use tiepoint_sfm::geometry::Rng;
-use tiepoint_sfm::matching::{self, PairSelection, Prepared, match_prepared};
-use tiepoint_sfm::scene::{Camera, Image, ImageId, ImagePair, Keypoint, Match, TwoView};
+use tiepoint_sfm::matching::{self, PairSelection};
+use tiepoint_sfm::scene::{Camera, Image, ImageId, ImagePair, Match, TwoView};
 use tiepoint_sfm::{VerifyOptions, View, verify_pair};
 
 use crate::foreign_database::{has_imported_pairs, require_sift, verify_imported_pairs};
-use crate::keypoints::keypoint;
+use crate::loaded_features::LoadedFeatures;
 use crate::option_keys::PAIRS;
 use crate::ordered::for_each_in_order;
 use crate::pair_choice::{self, IMAGES_READ_AT_ONCE, PairChoice};
@@ -84,12 +85,6 @@ fn resolved(
     Ok(pair_choice::resolved(pairs, images, None))
 }
 
-/// Features of an image in memory.
-struct Loaded {
-    keypoints: Vec<Keypoint>,
-    descriptors: Prepared,
-}
-
 /// Matches and verifies the pairs of a workspace that has features, or resumes that.
 ///
 /// # Errors
@@ -147,7 +142,7 @@ pub(crate) fn match_pairs(
     let pending: Vec<ImagePair> = all.iter().copied().filter(|pair| !done.contains(pair)).collect();
     let tiles = tiles(pending.iter().copied());
     let mut report = report_so_far(database)?;
-    let match_pair = |pair: ImagePair, loaded: &BTreeMap<ImageId, Loaded>| {
+    let match_pair = |pair: ImagePair, loaded: &BTreeMap<ImageId, LoadedFeatures>| {
         match_pair(pair, loaded, &cameras, &images, options)
     };
     let first = first_pairs(database, &pending, options.seed, match_pair)?;
@@ -156,7 +151,7 @@ pub(crate) fn match_pairs(
     let (total, done) = (all.len(), all.len() - pending.len());
     emit(watch, &Event::StageBegan { stage: Stage::Match, total, done })?;
 
-    let mut loaded: BTreeMap<ImageId, Loaded> = BTreeMap::new();
+    let mut loaded: BTreeMap<ImageId, LoadedFeatures> = BTreeMap::new();
     for pairs in &tiles {
         load(database, pairs, &mut loaded)?;
         let work = |pair: &ImagePair| match first.found.get(pair) {
@@ -202,7 +197,7 @@ fn first_pairs(
     database: &Database,
     pending: &[ImagePair],
     seed: u64,
-    match_pair: impl Fn(ImagePair, &BTreeMap<ImageId, Loaded>) -> Found + Sync,
+    match_pair: impl Fn(ImagePair, &BTreeMap<ImageId, LoadedFeatures>) -> Found + Sync,
 ) -> Result<FirstPairs, Error> {
     let mut random = Rng::stream(seed, &[]);
     let count = pending.len().div_ceil(PAIRS_PER_TIMED_PAIR).min(MAX_TIMED_PAIRS);
@@ -253,16 +248,13 @@ fn tiles(pairs: impl Iterator<Item = ImagePair>) -> Vec<Vec<ImagePair>> {
 fn load(
     database: &Database,
     pairs: &[ImagePair],
-    loaded: &mut BTreeMap<ImageId, Loaded>,
+    loaded: &mut BTreeMap<ImageId, LoadedFeatures>,
 ) -> Result<(), Error> {
     let needed: BTreeSet<ImageId> = pairs.iter().flat_map(|pair| [pair.a, pair.b]).collect();
     loaded.retain(|image, _| needed.contains(image));
     let missing: Vec<ImageId> =
         needed.into_iter().filter(|image| !loaded.contains_key(image)).collect();
-    let prepare = |(image, features): (ImageId, tiepoint_io::features::Features)| {
-        let keypoints = features.keypoints.iter().map(keypoint).collect();
-        (image, Loaded { keypoints, descriptors: Prepared::new(&features.descriptors) })
-    };
+    let prepare = |(image, features): (ImageId, Features)| (image, LoadedFeatures::new(&features));
     // In batches, so that few images are in memory twice.
     for batch in missing.chunks(IMAGES_READ_AT_ONCE) {
         let read = batch.iter().map(|&image| Ok((image, database.read_features(image)?)));
@@ -276,14 +268,13 @@ fn load(
 /// only on `options.seed` and the pair.
 fn match_pair(
     pair: ImagePair,
-    loaded: &BTreeMap<ImageId, Loaded>,
+    loaded: &BTreeMap<ImageId, LoadedFeatures>,
     cameras: &[Camera],
     images: &[Image],
     options: &MatchOptions,
 ) -> (Vec<Match>, TwoView) {
     let (a, b) = (&loaded[&pair.a], &loaded[&pair.b]);
-    let matches = match_prepared(&a.descriptors, &b.descriptors, &options.descriptors);
-    let matches: Vec<Match> = matches.iter().map(|m| Match { a: m.a, b: m.b }).collect();
+    let matches = a.matches(b, &options.descriptors);
     let view = |image: ImageId| View {
         keypoints: &loaded[&image].keypoints,
         camera: &cameras[images[image.index()].camera.index()],

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use tiepoint_dense::undistort::Undistortion;
-use tiepoint_io::{ImageFolder, ImageSource, Luma, Rgb};
+use tiepoint_io::{ImageFolder, Luma, Rgb};
 use tiepoint_sfm::scene::{Image, Reconstruction};
 
 use crate::model_location::ModelLocation;

@@ -7,9 +7,8 @@
 //! round-trip. `none` stands for an option that is not given; records leave it out.
 //!
 //! Stages of existing workspaces become invalid if a value changes its meaning, or if a new key has
-//! a value other than `none`. `crate::legacy_options` reads workspaces without keys.
+//! a value other than `none`.
 
-use tiepoint_io::DEFAULT_MAX_PIXELS;
 use tiepoint_io::features::{
     DomainSizes, Limit, Normalization, Options as DetectorOptions, Orientation,
 };
@@ -69,14 +68,7 @@ pub(crate) fn difference(key: &str, was: &str, is: &str) -> String {
         let [was, is] = [was, is].map(|value| if value == "true" { "refined" } else { "fixed" });
         return format!("{parameter} {was} and not {is} (--refine)");
     }
-    // The values of a command line that does not give the option.
-    let default = match key {
-        CAMERAS_KEY => CameraGrouping::Auto.to_string(),
-        MAX_PIXELS_KEY => (DEFAULT_MAX_PIXELS as f64 / 1e6).to_string(),
-        _ => NONE.to_owned(),
-    };
-    let value = |value: &str| if value == NONE { default.clone() } else { value.to_owned() };
-    format!("{name} {} and not {}", value(was), value(is))
+    format!("{name} {was} and not {is}")
 }
 
 /// Keys of options of the command line, and their names there.
@@ -184,16 +176,14 @@ pub(crate) fn of_features(
     texts
 }
 
-/// The limit on pixels, an option of the feature stage. The default is `none`, so that workspaces
-/// of versions without a limit stay valid.
+/// The limit on pixels, an option of the feature stage.
 pub(crate) fn of_pixel_limit(max_pixels: u64) -> (&'static str, String) {
-    (MAX_PIXELS_KEY, or_none((max_pixels != DEFAULT_MAX_PIXELS).then_some(max_pixels as f64 / 1e6)))
+    (MAX_PIXELS_KEY, (max_pixels as f64 / 1e6).to_string())
 }
 
-/// Which photos share a camera, an option of the feature stage. The default is `none`, so that
-/// workspaces of versions without the option stay valid.
+/// Which photos share a camera, an option of the feature stage.
 pub(crate) fn of_cameras(cameras: CameraGrouping) -> (&'static str, String) {
-    (CAMERAS_KEY, or_none((cameras != CameraGrouping::Auto).then_some(cameras)))
+    (CAMERAS_KEY, cameras.to_string())
 }
 
 /// Files of known calibrations by their fingerprints, an option of the feature stage.
@@ -203,15 +193,12 @@ pub(crate) fn of_calibration_files(files: &[String]) -> (&'static str, String) {
 
 /// Whether known intrinsics are refined, an option of the map stage.
 pub(crate) fn of_known_intrinsics(refine: bool) -> (&'static str, String) {
-    (REFINE_KNOWN_KEY, or_none(refine.then_some(true)))
+    (REFINE_KNOWN_KEY, refine.to_string())
 }
 
 /// Known rigs by the hash of their file, and whether they are refined: options of the map stage.
 pub(crate) fn of_rig_calibration(hash: Option<String>, is_refined: bool) -> Texts {
-    vec![
-        (RIG_CALIBRATION_KEY, or_none(hash)),
-        (REFINE_EXTRINSICS_KEY, or_none(is_refined.then_some(true))),
-    ]
+    vec![(RIG_CALIBRATION_KEY, or_none(hash)), (REFINE_EXTRINSICS_KEY, is_refined.to_string())]
 }
 
 /// Options of the match stage.
@@ -288,9 +275,8 @@ pub(crate) fn of_mapping(mapper: &MapperOptions, baseline_m: Option<f64>) -> Tex
         ("mapper.refine.focal", focal.to_string()),
         ("mapper.refine.principal_point", principal_point.to_string()),
         ("mapper.refine.distortion", distortion.to_string()),
-        // `none` where they are constant, so that workspaces of versions without them stay valid.
-        ("mapper.refine.aspect", or_none(aspect.then_some(true))),
-        ("mapper.refine.prism", or_none(prism.then_some(true))),
+        ("mapper.refine.aspect", aspect.to_string()),
+        ("mapper.refine.prism", prism.to_string()),
         ("mapper.tracks.max_create_error_px", max_create_error_px.to_string()),
         ("mapper.tracks.max_merge_error_px", max_merge_error_px.to_string()),
         ("mapper.tracks.min_angle_rad", min_angle_rad.to_string()),
@@ -337,7 +323,7 @@ fn of_verification(verify: &VerifyOptions) -> Texts {
 pub(crate) fn of_input_model(hash: &str, fix_existing_frames: bool) -> Texts {
     vec![
         ("mapper.input_model", hash.to_owned()),
-        ("mapper.fix_existing_frames", or_none(fix_existing_frames.then_some(true))),
+        ("mapper.fix_existing_frames", fix_existing_frames.to_string()),
     ]
 }
 
@@ -349,8 +335,8 @@ pub(crate) fn of_dense(options: &DenseOptions) -> Texts {
     vec![
         ("dense.max_image_size", or_none(*max_image_size)),
         ("dense.sources", sources.to_string()),
-        ("dense.normal_maps", or_none(has_normal_maps.then_some("true"))),
-        ("dense.depth_pngs", or_none(has_depth_pngs.then_some("true"))),
+        ("dense.normal_maps", has_normal_maps.to_string()),
+        ("dense.depth_pngs", has_depth_pngs.to_string()),
     ]
 }
 
@@ -379,6 +365,7 @@ fn of_loss(loss: &Loss) -> String {
 
 #[cfg(test)]
 mod tests {
+    use tiepoint_io::DEFAULT_MAX_PIXELS;
     use tiepoint_sfm::geometry::CameraModelKind;
     use tiepoint_sfm::matching::Ends;
 
@@ -388,8 +375,7 @@ mod tests {
         texts.into_iter().map(|(key, value)| format!("{key} = {value}")).collect()
     }
 
-    /// Existing workspaces have these texts. Changing a line invalidates all of them, unless
-    /// [`crate::legacy_options`] converts the old one.
+    /// Existing workspaces have these texts. Changing a line invalidates all of them.
     #[test]
     fn keys_and_default_values_are_fixed() {
         let found = lines(of_features(&Calibration::default(), &DetectorOptions::default(), None));
@@ -437,8 +423,8 @@ mod tests {
             "mapper.refine.focal = true",
             "mapper.refine.principal_point = true",
             "mapper.refine.distortion = true",
-            "mapper.refine.aspect = none",
-            "mapper.refine.prism = none",
+            "mapper.refine.aspect = false",
+            "mapper.refine.prism = false",
             "mapper.tracks.max_create_error_px = 12",
             "mapper.tracks.max_merge_error_px = 4",
             "mapper.tracks.min_angle_rad = 0.026179938779914945",
@@ -459,8 +445,8 @@ mod tests {
         let expected = [
             "dense.max_image_size = none",
             "dense.sources = 8",
-            "dense.normal_maps = none",
-            "dense.depth_pngs = none",
+            "dense.normal_maps = false",
+            "dense.depth_pngs = false",
         ];
         assert_eq!(lines(of_dense(&DenseOptions::default())), expected);
     }

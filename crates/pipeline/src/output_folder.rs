@@ -287,8 +287,8 @@ impl OutputFolder {
     ) -> Result<Vec<String>, Error> {
         let own = folder.unwrap_or("model");
         let path = self.stage(own)?;
-        colmap::write_model(&path, model, format)
-            .map_err(|error| self.renamed(error, own, folder))?;
+        let asked = self.root.join(folder.unwrap_or_default());
+        colmap::write_model(&path, model, format).map_err(|error| renamed(error, &path, &asked))?;
         let mut names = Vec::new();
         for name in MODEL_FILES {
             let file = format!("{name}.{}", format.suffix());
@@ -305,29 +305,6 @@ impl OutputFolder {
             disk::remove_empty_folder(&path).map_err(output(self.root.path()))?;
         }
         Ok(names)
-    }
-
-    /// Replaces the staged path in an error by the final path.
-    fn renamed(&self, error: tiepoint_io::Error, staged: &str, folder: Option<&str>) -> Error {
-        let asked = self.root.join(folder.unwrap_or_default());
-        let staged = self.root.join(STAGED).join(staged);
-        let rename = |path: PathBuf| match path.strip_prefix(&staged) {
-            Ok(rest) if rest.as_os_str().is_empty() => asked.clone(),
-            Ok(rest) => asked.join(rest),
-            Err(_) => path,
-        };
-        Error::File(match error {
-            tiepoint_io::Error::Io { path, cause } => {
-                tiepoint_io::Error::Io { path: rename(path), cause }
-            }
-            tiepoint_io::Error::Content { path, what } => {
-                tiepoint_io::Error::Content { path: rename(path), what }
-            }
-            tiepoint_io::Error::Model { path, cause } => {
-                tiepoint_io::Error::Model { path: rename(path), cause }
-            }
-            other => other,
-        })
     }
 
     /// Moves the staged files into place and removes others, as a transaction. `order`: names of
@@ -487,6 +464,27 @@ fn read_manifest(root: &Path) -> Result<Option<Manifest>, Error> {
     Manifest::read(root).map_err(|error| match error {
         tiepoint_io::Error::Io { path, cause } => Error::Unreadable { path, cause },
         _ => Error::ForeignFile { path: root.join(MANIFEST) },
+    })
+}
+
+/// Replaces the path of a staged file, or folder of files, in an error by the final path.
+pub(crate) fn renamed(error: tiepoint_io::Error, staged: &Path, asked: &Path) -> Error {
+    let rename = |path: PathBuf| match path.strip_prefix(staged) {
+        Ok(rest) if rest.as_os_str().is_empty() => asked.to_owned(),
+        Ok(rest) => asked.join(rest),
+        Err(_) => path,
+    };
+    Error::File(match error {
+        tiepoint_io::Error::Io { path, cause } => {
+            tiepoint_io::Error::Io { path: rename(path), cause }
+        }
+        tiepoint_io::Error::Content { path, what } => {
+            tiepoint_io::Error::Content { path: rename(path), what }
+        }
+        tiepoint_io::Error::Model { path, cause } => {
+            tiepoint_io::Error::Model { path: rename(path), cause }
+        }
+        other => other,
     })
 }
 

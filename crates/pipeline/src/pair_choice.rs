@@ -102,7 +102,7 @@ fn automatic(
     seed: u64,
 ) -> Result<(String, Vec<(u32, u32)>), Error> {
     let cameras = camera_images(images, times)?;
-    let similar = similar_images(database, images.len(), num_similar(&cameras), seed)?;
+    let similar = similar_images(database, &all_ids(images.len()), num_similar(&cameras), seed)?;
     let chosen = auto_pairs(&cameras, &similar);
     let of_sequences = cameras.iter().zip(&chosen.is_sequence).filter(|(_, is)| **is);
     let in_order: usize = of_sequences.map(|(camera, _)| camera.sequence.len()).sum();
@@ -119,14 +119,14 @@ fn automatic(
 /// from all images.
 fn similar_images(
     database: &Database,
-    images: usize,
+    images: &[ImageId],
     count: usize,
     seed: u64,
 ) -> Result<Vec<Vec<Similar>>, Error> {
     let counts = database.keypoint_counts()?;
     let leading = counts.iter().flatten().map(|&count| count.min(Vocabulary::LEADING));
     let words = leading.sum::<usize>().div_ceil(DESCRIPTORS_PER_WORD);
-    let of_image = (SAMPLE_PER_WORD * words).div_ceil(images.max(1));
+    let of_image = (SAMPLE_PER_WORD * words).div_ceil(images.len().max(1));
     let some = |descriptors: &[Descriptor]| -> Vec<Descriptor> {
         Vocabulary::sample(descriptors, of_image).copied().collect()
     };
@@ -134,7 +134,7 @@ fn similar_images(
     for_all_images(database, images, some, |of_image| sample.extend(of_image))?;
     let vocabulary = VocabularyTree::learn(&sample, words, seed);
     drop(sample);
-    let mut described: Vec<ImageWords> = Vec::with_capacity(images);
+    let mut described: Vec<ImageWords> = Vec::with_capacity(images.len());
     let describe = |descriptors: &[Descriptor]| vocabulary.describe(descriptors);
     for_all_images(database, images, describe, |image| described.push(image))?;
     Ok(InvertedIndex::new(&vocabulary, &described).most_similar(count))
@@ -174,7 +174,7 @@ fn selected(
     let sequences: Vec<Sequence> = sequences.collect::<Result<_, _>>()?;
     let mut pairs = selection.pairs(&sequences);
     if selection.similar() > 0 {
-        let index = retrieval_index(database, images.len(), seed)?;
+        let (_, index) = learn_retrieval(database, &all_ids(images.len()), seed)?;
         let similar = index.pairs(selection.similar() as usize, &pairs);
         pairs.extend(similar);
         pairs.sort_unstable();
@@ -182,34 +182,43 @@ fn selected(
     Ok(pairs)
 }
 
-/// Global descriptors of all images, from a visual vocabulary that is learnt from a sample of them.
-pub(crate) fn retrieval_index(
+/// The ids of the images of a database.
+pub(crate) fn all_ids(images: usize) -> Vec<ImageId> {
+    (0..images).map(ImageId::from_index).collect()
+}
+
+/// Learns a visual vocabulary from a sample of the images, and indexes the global descriptors of
+/// all.
+///
+/// # Errors
+///
+/// The database cannot be read.
+pub(crate) fn learn_retrieval(
     database: &Database,
-    images: usize,
+    images: &[ImageId],
     seed: u64,
-) -> Result<RetrievalIndex, Error> {
+) -> Result<(Vocabulary, RetrievalIndex), Error> {
     let mut sample = Vec::new();
-    for image in (0..images).step_by(images.div_ceil(SAMPLE_IMAGES).max(1)) {
-        let features = database.read_features(ImageId::from_index(image))?;
+    for image in images.iter().step_by(images.len().div_ceil(SAMPLE_IMAGES).max(1)) {
+        let features = database.read_features(*image)?;
         sample.extend(Vocabulary::sample(&features.descriptors, SAMPLE_DESCRIPTORS).copied());
     }
     let vocabulary = Vocabulary::learn(&sample, &VocabularyOptions { seed, ..Default::default() });
     let mut index = RetrievalIndex::default();
     let describe = |descriptors: &[Descriptor]| vocabulary.describe(descriptors);
     for_all_images(database, images, describe, |image: GlobalDescriptor| index.push(&image))?;
-    Ok(index)
+    Ok((vocabulary, index))
 }
 
 /// Computes something from the descriptors of every image, and takes the results in order. Few
 /// images are in memory at a time.
 fn for_all_images<T: Send>(
     database: &Database,
-    images: usize,
+    images: &[ImageId],
     compute: impl Fn(&[Descriptor]) -> T + Sync,
     mut take: impl FnMut(T),
 ) -> Result<(), Error> {
-    let ids: Vec<ImageId> = (0..images).map(ImageId::from_index).collect();
-    for batch in ids.chunks(IMAGES_READ_AT_ONCE) {
+    for batch in images.chunks(IMAGES_READ_AT_ONCE) {
         let features = batch.iter().map(|&image| database.read_features(image));
         let features = features.collect::<Result<Vec<_>, _>>()?;
         let computed: Vec<T> =
@@ -269,9 +278,9 @@ mod tests {
         let place = |image: u32, feature: u32| u64::from(image % PLACES * FEATURES + feature);
         let database = database(folder.path(), &names, place);
         let expected: Vec<(u32, u32)> = (0..PLACES).map(|k| (k, k + PLACES)).collect();
-        let pairs = retrieval_index(&database, names.len(), 0).unwrap().pairs(1, &[]);
+        let pairs = learn_retrieval(&database, &all_ids(names.len()), 0).unwrap().1.pairs(1, &[]);
         assert_eq!(pairs, expected);
-        let similar = similar_images(&database, names.len(), 1, 0).unwrap();
+        let similar = similar_images(&database, &all_ids(names.len()), 1, 0).unwrap();
         for (a, others) in (0..).zip(similar) {
             assert_eq!(others[0].image, (a + PLACES) % (2 * PLACES));
         }

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
-use tiepoint_io::{ImageFolder, ImageInfo, ImageSource};
+use tiepoint_io::{ImageFolder, ImageInfo};
 
 use crate::calibration::Calibrations;
 use crate::fingerprint::fingerprint;

@@ -7,8 +7,7 @@
 //!
 //! The input of the first stage is a fingerprint of the photos; that of a later stage is the
 //! fingerprint of the stage before it. Options are kept as texts by key ([`crate::option_keys`]),
-//! so that error messages can name a difference. Records of earlier versions are converted when
-//! they are read.
+//! so that error messages can name a difference. Records of another format are refused.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -19,14 +18,8 @@ use tiepoint_io::require_regular_file;
 
 use crate::camera_facts::FOUND;
 use crate::option_keys::{NONE, difference, shown};
-use crate::{Error, Stage, legacy_options};
+use crate::{Error, Stage, format};
 
-/// Current version of the file format.
-const VERSION: u32 = 3;
-/// Last version with options as texts of Rust structs, without keys.
-const VERSION_WITHOUT_KEYS: u32 = 2;
-/// Version whose databases have no records.
-const VERSION_WITHOUT_ROWS: u32 = 1;
 /// Stages whose results are in the database.
 const IN_DATABASE: [Stage; 2] = [Stage::Features, Stage::Match];
 /// Longer option values are not quoted in error messages.
@@ -110,37 +103,6 @@ struct Record {
     recipe: Recipe,
 }
 
-/// Converts the options of an earlier version to keys, and updates the input of each stage to the
-/// new fingerprint of the previous one.
-fn convert_to_keys(stages: &mut BTreeMap<Stage, Record>) {
-    let mut made: Option<(String, String)> = None;
-    for (stage, record) in stages {
-        let recipe = &mut record.recipe;
-        let before = recipe.fingerprint();
-        recipe.options = legacy_options::by_key(*stage, &recipe.options);
-        if let Some((before, now)) = made
-            && recipe.input == before
-        {
-            recipe.input = now;
-        }
-        made = Some((before, recipe.fingerprint()));
-    }
-}
-
-/// A recipe as text in the database.
-#[derive(Serialize, Deserialize)]
-#[serde(expecting = "an object")]
-struct RecipeRow {
-    #[serde(default = "version_without_keys")]
-    version: u32,
-    #[serde(flatten)]
-    recipe: Recipe,
-}
-
-fn version_without_keys() -> u32 {
-    VERSION_WITHOUT_KEYS
-}
-
 /// How to run a stage, given the state on disk.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Progress {
@@ -153,19 +115,12 @@ pub(crate) enum Progress {
 }
 
 /// The content of `stages.json`.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 #[serde(expecting = "an object")]
 pub(crate) struct Records {
-    version: u32,
     /// Input folders of the photos.
     pub(crate) inputs: Vec<PathBuf>,
     stages: BTreeMap<Stage, Record>,
-}
-
-impl Default for Records {
-    fn default() -> Self {
-        Self { version: VERSION, inputs: Vec::new(), stages: BTreeMap::new() }
-    }
 }
 
 impl Records {
@@ -173,7 +128,7 @@ impl Records {
     ///
     /// # Errors
     ///
-    /// The file cannot be read or is damaged.
+    /// The file cannot be read, is damaged or has another format.
     pub(crate) fn read(path: &Path) -> Result<Option<Self>, Error> {
         let broken = |what: String| Error::BrokenRecord { path: path.to_owned(), what };
         require_regular_file(path)?;
@@ -182,58 +137,42 @@ impl Records {
             Err(cause) => return Err(Error::Unreadable { path: path.to_owned(), cause }),
             Ok(text) => text,
         };
-        let mut records: Self =
-            serde_json::from_slice(&text).map_err(|error| broken(error.to_string()))?;
-        if !(VERSION_WITHOUT_ROWS..=VERSION).contains(&records.version) {
-            return Err(broken(format!("it is of version {} and not {VERSION}", records.version)));
-        }
-        if records.version <= VERSION_WITHOUT_KEYS {
-            convert_to_keys(&mut records.stages);
-        }
-        Ok(Some(records))
+        format::from_json(path, &text, broken).map(Some)
     }
 
     pub(crate) fn to_json(&self) -> Vec<u8> {
-        json(self)
-    }
-
-    /// Whether the database of this version has no records.
-    pub(crate) fn is_without_rows(&self) -> bool {
-        self.version == VERSION_WITHOUT_ROWS
-    }
-
-    /// The same records in the current version.
-    pub(crate) fn upgraded(mut self) -> Self {
-        self.version = VERSION;
-        self
+        format::to_json(self)
     }
 
     /// The records for the database.
     pub(crate) fn rows(&self) -> Vec<StageRow> {
         let row = |stage: &Stage| {
             let Record { is_complete, recipe } = self.stages.get(stage)?;
-            let recipe = RecipeRow { version: VERSION, recipe: recipe.clone() };
-            let recipe = String::from_utf8(json(&recipe)).ok()?;
+            let recipe = String::from_utf8(format::to_json(recipe)).ok()?;
             Some(StageRow { stage: stage.name().to_owned(), is_complete: *is_complete, recipe })
         };
         IN_DATABASE.iter().filter_map(row).collect()
     }
 
-    /// Replaces the records of stages in the database by those in the database. The record of the
-    /// models is removed if they were computed from other matches.
-    pub(crate) fn take_rows(&mut self, rows: &[StageRow]) {
+    /// Replaces the records of stages in the database by those in the database at `path`. The
+    /// record of the models is removed if they were computed from other matches.
+    ///
+    /// # Errors
+    ///
+    /// A record has another format.
+    pub(crate) fn take_rows(&mut self, path: &Path, rows: &[StageRow]) -> Result<(), Error> {
+        let broken = |what| Error::BrokenRecord { path: path.to_owned(), what };
         let mut stages = BTreeMap::new();
-        let mut has_keys = true;
         for stage in IN_DATABASE {
-            let row = rows.iter().find(|row| row.stage == stage.name());
-            let recipe = row.and_then(|row| serde_json::from_str::<RecipeRow>(&row.recipe).ok());
-            if let Some((row, RecipeRow { version, recipe })) = row.zip(recipe) {
-                has_keys &= version > VERSION_WITHOUT_KEYS;
-                stages.insert(stage, Record { is_complete: row.is_complete, recipe });
+            let Some(row) = rows.iter().find(|row| row.stage == stage.name()) else { continue };
+            match format::from_json(path, row.recipe.as_bytes(), broken) {
+                Ok(recipe) => {
+                    stages.insert(stage, Record { is_complete: row.is_complete, recipe });
+                }
+                // The stage has no record.
+                Err(Error::BrokenRecord { .. }) => {}
+                Err(error) => return Err(error),
             }
-        }
-        if !has_keys {
-            convert_to_keys(&mut stages);
         }
         self.forget_database();
         self.stages.append(&mut stages);
@@ -242,6 +181,7 @@ impl Records {
         if made_from.is_some() && made_from != matches.map(|record| record.recipe.fingerprint()) {
             self.forget_from(Stage::Map);
         }
+        Ok(())
     }
 
     /// Removes the records of stages in a database that no longer exists. That of the models stays.
@@ -330,13 +270,7 @@ pub(crate) fn json(value: &impl Serialize) -> Vec<u8> {
 
 #[cfg(test)]
 mod tests {
-    use tiepoint_io::features as sift;
-    use tiepoint_sfm::matching::{self, Ends, PairSelection};
-    use tiepoint_sfm::{MapperOptions, RigTerm, VerifyOptions};
-
     use super::*;
-    use crate::cameras::Calibration;
-    use crate::option_keys::{of_features, of_mapping, of_matching};
 
     fn recipe(input: &str, pairs: &str) -> Recipe {
         Recipe::new(
@@ -411,6 +345,7 @@ mod tests {
     #[test]
     fn records_of_the_database_take_precedence() {
         let (dir, mut records) = (Path::new("ws"), Records::default());
+        let database = Path::new("ws/database.db");
         let mut add = |stage, recipe: &Recipe| {
             records.begin(dir, stage, recipe, None).unwrap();
             records.complete(stage);
@@ -421,14 +356,14 @@ mod tests {
         add(Stage::Map, &recipe(&matching.fingerprint(), "-"));
         let same = records.clone();
         let mut rows = records.rows();
-        records.take_rows(&rows);
+        records.take_rows(database, &rows).unwrap();
         assert_eq!(records.to_json(), same.to_json());
         // Models of incomplete matches are not valid.
         rows[1].is_complete = false;
-        records.take_rows(&rows);
+        records.take_rows(database, &rows).unwrap();
         assert!(!records.is_complete(Stage::Match) && !records.is_complete(Stage::Map));
         let mut records = same.clone();
-        records.take_rows(&rows[..1]);
+        records.take_rows(database, &rows[..1]).unwrap();
         assert!(records.is_complete(Stage::Features) && !records.is_complete(Stage::Map));
         let mut records = same;
         records.forget_database();
@@ -471,142 +406,5 @@ mod tests {
             let how = recipe(&was).difference(&recipe(&is), Stage::Map).unwrap();
             assert_eq!(how, format!("with {expected}"));
         }
-    }
-
-    /// `stages.json` of an earlier version for four photos, and its recipes.
-    fn legacy_file(version: u32, pairs: &str) -> (String, [String; 3]) {
-        let detector = "Options { first_octave: -1, octaves: 4, levels: 3, peak_threshold: \
-        0.0066666664, \
-             edge_threshold: 10.0, max_features: 8192, limit: WholeLevels, max_orientations: 2, \
-             orientation: Dominant, \
-             normalization: RootL1, domain_sizes: None }";
-        let matching = "Options { max_ratio: Some(0.8), max_angle_rad: Some(0.7), mutual: true, \
-        method: BruteForce, \
-             preempt: None }";
-        let verification = "VerifyOptions { max_error_px: 4.0, min_num_inliers: 15, \
-        min_essential_share: 0.95, \
-             max_homography_share: 0.8 }";
-        let mapper = "MapperOptions { refine: RefineIntrinsics { focal: true, principal_point: \
-        true, distortion: true }, \
-             tracks: TrackOptions { max_create_error_px: 12.0, max_merge_error_px: 4.0, \
-             min_angle_rad: 0.026179938779914945, two_view: false, max_transitivity: 5 }, \
-             filter: FilterOptions { max_error_px: 4.0, min_angle_rad: 0.026179938779914945 }, \
-             register: RegisterOptions { max_error_px: 12.0, min_num_inliers: 30, \
-             min_inlier_share: 0.25 }, \
-             min_initial_inliers: 30, min_model_size: 3, loss: SoftL1(4.0), local_images: 6, \
-             global_growth: 1.1, \
-             rig: Auto, readout: None, seed: 0 }";
-        let features = format!(
-            r#"{{ "input": "PHOTOS", "options":
-                {{ "camera-model": "SIMPLE_RADIAL", "detector": "{detector}" }} }}"#
-        );
-        let fingerprint =
-            |recipe: &str| serde_json::from_str::<Recipe>(recipe).expect("as it was").fingerprint();
-        let matches = format!(
-            r#"{{ "input": "{}", "options":
-                {{ "matching": "{matching}", "pairs": "{pairs}", "seed": "0",
-                   "verification": "{verification}" }} }}"#,
-            fingerprint(&features)
-        );
-        let models = format!(
-            r#"{{ "input": "{}", "options": {{ "mapper": "{mapper}" }} }}"#,
-            fingerprint(&matches)
-        );
-        let complete = |recipe: &str| recipe.replacen('{', r#"{ "is_complete": true,"#, 1);
-        let file = format!(
-            r#"{{ "version": {version}, "inputs": ["photos"],
-                "stages": {{ "features": {}, "match": {}, "map": {} }} }}"#,
-            complete(&features),
-            complete(&matches),
-            complete(&models)
-        );
-        (file, [features, matches, models])
-    }
-
-    /// The recipe of a run with the default options of the command line.
-    fn asked(records: &Records, stage: Stage, pairs: PairSelection) -> Recipe {
-        let dir = Path::new("ws");
-        let mapper = MapperOptions { rig: RigTerm::Auto, ..MapperOptions::default() };
-        let (calibration, detector) = (Calibration::default(), sift::Options::default());
-        let (descriptors, verify) = (matching::Options::default(), VerifyOptions::default());
-        match stage {
-            Stage::Features => {
-                Recipe::new("PHOTOS".to_owned(), of_features(&calibration, &detector, None))
-            }
-            Stage::Match => {
-                let input = records.fingerprint(dir, Stage::Features).unwrap();
-                Recipe::new(input, of_matching(&pairs, &descriptors, &verify, 0))
-            }
-            Stage::Map => {
-                let input = records.fingerprint(dir, Stage::Match).unwrap();
-                Recipe::new(input, of_mapping(&mapper, None))
-            }
-            Stage::Dense => unreachable!("records without keys know of no dense stage"),
-        }
-    }
-
-    #[test]
-    fn records_without_keys_are_converted() {
-        let (dir, folder) = (Path::new("ws"), tempfile::tempdir().unwrap());
-        let path = folder.path().join("stages.json");
-        let exhaustive = PairSelection::Exhaustive;
-        for version in [1, 2] {
-            let (file, recipes) = legacy_file(version, "exhaustive");
-            std::fs::write(&path, file).unwrap();
-            let read = Records::read(&path).unwrap().unwrap();
-            let rows: Vec<StageRow> = IN_DATABASE
-                .iter()
-                .zip(recipes)
-                .map(|(stage, recipe)| StageRow {
-                    stage: stage.name().to_owned(),
-                    is_complete: true,
-                    recipe,
-                })
-                .collect();
-            let mut with_rows = read.clone();
-            with_rows.take_rows(&rows);
-            assert_eq!(with_rows.to_json(), read.to_json(), "the database says the same");
-            // A converted `stages.json` beside a database that was not converted.
-            std::fs::write(&path, read.clone().upgraded().to_json()).unwrap();
-            let mut upgraded = Records::read(&path).unwrap().unwrap();
-            upgraded.take_rows(&rows);
-            let rows = upgraded.rows();
-            upgraded.take_rows(&rows);
-            for mut records in [read, with_rows, upgraded] {
-                for stage in [Stage::Features, Stage::Match, Stage::Map] {
-                    let recipe = asked(&records, stage, exhaustive);
-                    assert_eq!(
-                        records.begin(dir, stage, &recipe, None).unwrap(),
-                        Progress::Kept,
-                        "{stage}"
-                    );
-                }
-                let sequential = PairSelection::Sequential { reach: 5, ends: Ends::Open, loops: 0 };
-                let recipe = asked(&records, Stage::Match, sequential);
-                let error =
-                    records.begin(dir, Stage::Match, &recipe, None).unwrap_err().to_string();
-                assert!(
-                    error.contains("with --pairs exhaustive and not sequential:5: give --redo"),
-                    "{error}"
-                );
-                let recipe = asked(&records, Stage::Features, exhaustive);
-                let recipe = Recipe { input: "OTHERS".to_owned(), ..recipe };
-                let error =
-                    records.begin(dir, Stage::Features, &recipe, None).unwrap_err().to_string();
-                assert!(error.contains("in ws were made from other photos"), "{error}");
-            }
-        }
-        // Models of other matches than those of the database are not valid.
-        let (file, _) = legacy_file(2, "exhaustive");
-        let (_, [features, matches, _]) = legacy_file(2, "sequential:5");
-        std::fs::write(&path, file).unwrap();
-        let mut records = Records::read(&path).unwrap().unwrap();
-        let row = |stage: Stage, recipe| StageRow {
-            stage: stage.name().to_owned(),
-            is_complete: true,
-            recipe,
-        };
-        records.take_rows(&[row(Stage::Features, features), row(Stage::Match, matches)]);
-        assert!(records.is_complete(Stage::Match) && !records.is_complete(Stage::Map));
     }
 }

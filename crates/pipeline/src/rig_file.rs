@@ -10,8 +10,8 @@ use tiepoint_sfm::geometry::nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use tiepoint_sfm::scene::Reconstruction;
 use tiepoint_sfm::{CalibratedCamera, CalibratedRig, ClockState, RigConstraint};
 
-use crate::Error;
 use crate::image_names::folder_of;
+use crate::{Error, format};
 
 /// Largest accepted deviation of a quaternion's norm from 1: three digits are precise to less.
 const UNIT_TOLERANCE: f64 = 1e-2;
@@ -25,10 +25,9 @@ pub struct RigFile {
     /// The other cameras.
     pub cameras: Vec<RigCamera>,
     /// Image pairs of one frame, reference camera first, whose relative pose contradicts the
-    /// extrinsics, both in the model and by their own matches. `None` in files of versions that did
-    /// not write them.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub bad_pairs: Option<Vec<[String; 2]>>,
+    /// extrinsics, both in the model and by their own matches. The key is absent if there are none.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub bad_pairs: Vec<[String; 2]>,
 }
 
 /// A non-reference camera of a rig.
@@ -90,10 +89,11 @@ impl RigFile {
     ///
     /// # Errors
     ///
-    /// The content is not JSON of this form, or a rotation is not a unit quaternion.
+    /// The content is not JSON of this form or has another format, or a rotation is not a unit
+    /// quaternion.
     pub(crate) fn from_json(path: &Path, text: &[u8]) -> Result<Self, Error> {
         let broken = |what: String| Error::Broken { path: path.to_owned(), what };
-        let file: Self = serde_json::from_slice(text).map_err(|error| broken(error.to_string()))?;
+        let file: Self = format::from_json(path, text, broken)?;
         let mut names = BTreeSet::from([file.reference.as_str()]);
         for RigCamera { name, rotation_wxyz, .. } in &file.cameras {
             if !names.insert(name) {
@@ -109,6 +109,11 @@ impl RigFile {
         Ok(file)
     }
 
+    /// The content of the file.
+    pub(crate) fn to_json(&self) -> Vec<u8> {
+        format::to_json(self)
+    }
+
     /// The extrinsics of a model's rig; `None` if none were estimated.
     pub(crate) fn new(model: &Reconstruction, rig: &CalibratedRig) -> Option<Self> {
         let reference = folder_of(model, rig.cameras.first()?.sensor_pair.reference);
@@ -116,9 +121,11 @@ impl RigFile {
         Some(Self {
             reference,
             cameras: rig.cameras.iter().map(|camera| RigCamera::new(model, camera)).collect(),
-            bad_pairs: Some(
-                rig.bad_pairs.iter().map(|pair| [name(pair.reference), name(pair.other)]).collect(),
-            ),
+            bad_pairs: rig
+                .bad_pairs
+                .iter()
+                .map(|pair| [name(pair.reference), name(pair.other)])
+                .collect(),
         })
     }
 }
@@ -188,8 +195,8 @@ mod tests {
                 ..RigCamera::default()
             };
             let cameras = names.iter().map(camera).collect();
-            let file = RigFile { reference: "left".to_owned(), cameras, bad_pairs: None };
-            RigFile::from_json(Path::new("ws/rig.json"), &serde_json::to_vec(&file).unwrap())
+            let file = RigFile { reference: "left".to_owned(), cameras, bad_pairs: Vec::new() };
+            RigFile::from_json(Path::new("ws/rig.json"), &file.to_json())
         };
         assert!(read(&["right", "rear"]).is_ok());
         for (names, twice) in [(["right", "left"], "left"), (["right", "right"], "right")] {
@@ -201,7 +208,7 @@ mod tests {
 
     #[test]
     fn a_value_of_another_kind_is_named_without_a_type_of_the_code() {
-        let text = br#"{ "reference": "left", "cameras": ["right"] }"#;
+        let text = br#"{ "format": 1, "reference": "left", "cameras": ["right"] }"#;
         let error = RigFile::from_json(Path::new("ws/rig.json"), text).unwrap_err().to_string();
         assert!(error.contains("expected an object that describes a camera"), "{error}");
         assert!(!error.contains("RigCamera"), "{error}");
@@ -212,9 +219,12 @@ mod tests {
         let read = |rotation_wxyz| {
             let camera =
                 RigCamera { name: "right".to_owned(), rotation_wxyz, ..RigCamera::default() };
-            let file =
-                RigFile { reference: "left".to_owned(), cameras: vec![camera], bad_pairs: None };
-            RigFile::from_json(Path::new("ws/rig.json"), &serde_json::to_vec(&file).unwrap())
+            let file = RigFile {
+                reference: "left".to_owned(),
+                cameras: vec![camera],
+                bad_pairs: Vec::new(),
+            };
+            RigFile::from_json(Path::new("ws/rig.json"), &file.to_json())
         };
         assert!(read([0.5, -0.5, 0.5, 0.5]).is_ok() && read([0.0, 0.707, 0.0, 0.707]).is_ok());
         for none in

@@ -240,7 +240,7 @@ fn extrinsics_report(
             pairs_matched_again: split.num_rematched_pairs,
         }),
         // `bad_pairs` of this report has them.
-        rig: RigFile::new(model, rig).map(|file| RigFile { bad_pairs: None, ..file }),
+        rig: RigFile::new(model, rig).map(|file| RigFile { bad_pairs: Vec::new(), ..file }),
     }
 }
 

@@ -23,7 +23,7 @@ use tiepoint_sfm::{
 use crate::evaluate::read_times;
 use crate::image_names::{camera_of_folder, folder_of};
 use crate::model_location::ModelLocation;
-use crate::{Error, Report, RigCamera, RigFile, model_folder};
+use crate::{Error, RigCamera, RigFile, model_folder};
 
 /// The effect of exact rig extrinsics on a model.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -152,36 +152,16 @@ fn known_sensors(
         let clock = &camera.clock;
         let (offset_s, drift, pivot_s) = (clock.offset_s, 1e-6 * clock.drift_ppm, clock.pivot_s);
         let sensor_pair = SensorPair {
-            reference,
-            other: find(&camera.name)?,
             clock: Clock { offset_s, drift, pivot_s },
-            clock_state: ClockState::Synchronised,
-            assumed_baseline: None,
-            unobservable_direction: None,
+            ..SensorPair::synchronised(reference, find(&camera.name)?)
         };
         Ok((sensor_pair, Some(camera.cam_from_rig())))
     };
     let cameras = file.cameras.iter().map(camera).collect::<Result<_, Error>>()?;
-    let pairs = match file.bad_pairs {
-        Some(pairs) => pairs,
-        None => bad_pairs_of_report(location)?,
-    };
-    let names: BTreeSet<&str> = pairs.iter().map(|[_, other]| other.as_str()).collect();
+    let names: BTreeSet<&str> = file.bad_pairs.iter().map(|[_, other]| other.as_str()).collect();
     let bad =
         model.images().filter(|(_, image)| names.contains(image.name.as_str())).map(|(id, _)| id);
     Ok((cameras, bad.collect()))
-}
-
-/// Incorrect pairs of a workspace of 0.1.0 whose `rig.json` does not have them: from its report.
-fn bad_pairs_of_report(location: &ModelLocation) -> Result<Vec<[String; 2]>, Error> {
-    let (path, index) = location.report();
-    if !path.is_file() {
-        return Ok(Vec::new());
-    }
-    let report = Report::read(&path)?;
-    let rig = report.models.get(index).and_then(|model| model.rig.as_ref());
-    let extrinsics = rig.and_then(|rig| rig.extrinsics.as_ref());
-    Ok(extrinsics.map_or(Vec::new(), |extrinsics| extrinsics.bad_pairs.clone()))
 }
 
 /// A rig sensor with its frames and its initial extrinsics: `calibration`, else the robust mean of

@@ -151,9 +151,9 @@ mod tests {
     use super::*;
     use std::collections::BTreeMap;
     use tiepoint_sfm::geometry::{CameraModelKind, Intrinsics, Rigid3};
-    use tiepoint_sfm::rig::{Clock, RelativePoseStatistics};
+    use tiepoint_sfm::rig::RelativePoseStatistics;
     use tiepoint_sfm::scene::{Camera, CameraId, Image, ImageId, ImagePair, Track};
-    use tiepoint_sfm::{CalibratedRig, ClockState, RigConstraint};
+    use tiepoint_sfm::{CalibratedRig, RigConstraint};
 
     /// Far above rounding errors.
     const EPSILON: f64 = 1e-12;
@@ -190,14 +190,7 @@ mod tests {
 
     fn calibrated_camera() -> CalibratedCamera {
         CalibratedCamera {
-            sensor_pair: SensorPair {
-                reference: CameraId(0),
-                other: CameraId(1),
-                clock: Clock::default(),
-                clock_state: ClockState::Synchronised,
-                assumed_baseline: None,
-                unobservable_direction: None,
-            },
+            sensor_pair: SensorPair::synchronised(CameraId(0), CameraId(1)),
             cam_from_rig: Rigid3::new(
                 UnitQuaternion::identity(),
                 Vector3::new(-BASELINE, 0.0, 0.0),

@@ -116,27 +116,12 @@ fn open_frames(folder: &Path) -> Result<(OutputFolder, Option<Record>), Error> {
     if OutputFolder::is_ours(folder) || !folder.exists() {
         return Ok((OutputFolder::open(folder)?, read()));
     }
-    let unreadable = |cause| Error::Unreadable { path: folder.to_owned(), cause };
-    let Some(record) = read() else {
-        let is_empty = fs::read_dir(folder).map_err(unreadable)?.next().is_none();
-        let foreign = || Error::ForeignFile { path: folder.to_owned() };
-        return if is_empty { Ok((OutputFolder::open(folder)?, None)) } else { Err(foreign()) };
-    };
-    // An earlier version wrote no manifest: its frames are recognised by their names.
-    let mut names = vec![TIMES.to_owned(), RECORD.to_owned()];
-    for (video, _) in &record.videos {
-        let Ok(entries) = fs::read_dir(folder.join(video)) else { continue };
-        for entry in entries {
-            let file = entry.map_err(unreadable)?.file_name().to_string_lossy().into_owned();
-            let number = file.strip_suffix(".jpg").filter(|number| number.len() == FRAME_DIGITS);
-            if number.is_some_and(|number| number.bytes().all(|byte| byte.is_ascii_digit())) {
-                names.push(format!("{video}/{file}"));
-            }
-        }
+    let entries = fs::read_dir(folder);
+    let entries = entries.map_err(|cause| Error::Unreadable { path: folder.to_owned(), cause });
+    match entries?.next() {
+        None => Ok((OutputFolder::open(folder)?, None)),
+        Some(_) => Err(Error::ForeignFile { path: folder.to_owned() }),
     }
-    let mut frames = OutputFolder::open(folder)?;
-    frames.claim(&names)?;
-    Ok((frames, Some(record)))
 }
 
 /// The video files among the inputs and in input folders without images; empty for photos.

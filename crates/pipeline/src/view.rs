@@ -14,9 +14,9 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
-use tiepoint_eval::geometry::nalgebra::{UnitQuaternion, Vector2, Vector3};
+use tiepoint_eval::geometry::nalgebra::{Vector2, Vector3};
 use tiepoint_eval::geometry::numeric::median;
-use tiepoint_eval::geometry::{Rigid3, Sim3};
+use tiepoint_eval::geometry::{Rigid3, Sim3, so3};
 use tiepoint_io::colmap::read_model;
 use tiepoint_sfm::scene::{CameraId, ImageId, Reconstruction};
 
@@ -357,10 +357,7 @@ fn upright(report_model: &ReportModel) -> Sim3 {
     let poses =
         report_model.model.registered().map(|(.., pose)| world_from_model.transform_pose(pose));
     let poses: Vec<Rigid3> = poses.collect();
-    let up: Vector3<f64> = poses.iter().map(|pose| pose.rotation.inverse() * -Vector3::y()).sum();
-    let rotation = UnitQuaternion::rotation_between(&up, &Vector3::z()).unwrap_or_else(|| {
-        UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI)
-    });
+    let rotation = so3::upright(poses.iter().map(|pose| &pose.rotation), &Vector3::z());
     let points = report_model.model.tracks().map(|(_, track)| world_from_model * track.xyz);
     let positions: Vec<Vector3<f64>> =
         points.chain(poses.iter().map(Rigid3::origin_in_a)).collect();

@@ -9,7 +9,7 @@ use tiepoint_io::database::{Database, read_stage_rows};
 use tiepoint_io::disk;
 
 use crate::file_names::{DENSE, RIG, SPARSE, is_rig_name, model_path};
-use crate::output_folder::{OutputFolder, model_names, output};
+use crate::output_folder::{OutputFolder, output};
 use crate::records::{Progress, Recipe, Records, json};
 use crate::{Error, Event, MatchReport, Report, Stage, Watch, emit};
 
@@ -46,25 +46,31 @@ const RESERVED: [&str; 13] = [
     "report.html",
     DENSE,
 ];
-/// Files of workspaces of an earlier version, which had no manifest.
-const FILES_WITHOUT_MANIFEST: [&str; 4] = [REPORT, RIG, POINTS, TIMESTAMPS];
 
 impl Workspace {
     /// Opens or creates a workspace.
     ///
     /// # Errors
     ///
-    /// The folder holds foreign files with the names of a workspace's files, another run uses it,
-    /// or it cannot be written.
+    /// The folder holds foreign files with the names of a workspace's files or files of another
+    /// format, another run uses it, or it cannot be written.
     pub fn create(root: &Path) -> Result<Self, Error> {
         disk::create_folders(root).map_err(output(root))?;
-        let is_claimed = OutputFolder::is_ours(root);
-        let record = Records::read(&root.join(STAGES));
+        // The files that are written in place, and not replaced by a transaction.
+        for name in [LOCK, DATABASE].map(|name| root.join(name)) {
+            if fs::symlink_metadata(&name).is_ok_and(|found| found.is_symlink()) {
+                return Err(Error::LinkInFolder { path: name });
+            }
+        }
+        // Nothing is written into a workspace of another format.
+        if let Err(error @ Error::OtherFormat { .. }) = current_records(root) {
+            return Err(error);
+        }
         let database = root.join(DATABASE);
-        if !is_claimed {
+        if !OutputFolder::is_ours(root) {
             // The record shows that this program made the folder, or, if it is damaged, the
             // database.
-            let is_ours = matches!(record, Ok(Some(_)))
+            let is_ours = matches!(Records::read(&root.join(STAGES)), Ok(Some(_)))
                 || database.is_file() && matches!(read_stage_rows(&database), Ok(Some(_)));
             let reserved = RESERVED.into_iter().map(str::to_owned).chain(rigs_in(root));
             let found =
@@ -73,22 +79,9 @@ impl Workspace {
                 return Err(Error::ForeignWorkspace { path: root.to_owned(), found });
             }
         }
-        // The files that are written in place, and not replaced by a transaction.
-        for name in [LOCK, DATABASE].map(|name| root.join(name)) {
-            if fs::symlink_metadata(&name).is_ok_and(|found| found.is_symlink()) {
-                return Err(Error::LinkInFolder { path: name });
-            }
-        }
         let lock = lock(root)?;
         let mut folder = OutputFolder::open(root)?;
         folder.always_ours(&[STAGES]);
-        if !is_claimed {
-            let models = (0..).map(model_path);
-            let models = models.take_while(|model| root.join(model).is_dir());
-            let models = models.flat_map(|model| model_names(Some(&model)));
-            let names = FILES_WITHOUT_MANIFEST.iter().map(|name| (*name).to_owned()).chain(models);
-            folder.claim(&names.collect::<Vec<_>>())?;
-        }
         let mut log = database.as_os_str().to_owned();
         log.push("-wal");
         if Path::new(&log).exists()
@@ -98,22 +91,10 @@ impl Workspace {
             // Moves the write-ahead log of an interrupted run into the database.
             database.close()?;
         }
-        // Read again, because opening the folder may have completed an interrupted transaction.
+        // Read now, because opening the folder may have completed an interrupted transaction.
         let written = Records::read(&root.join(STAGES)).ok().flatten();
-        let records = match (current_records(root)?, &written) {
-            (records, Some(written)) if written.is_without_rows() => {
-                if database.is_file()
-                    && let Ok(mut database) = Database::open(&database)
-                {
-                    database.write_stage_rows(&records.rows())?;
-                    database.close()?;
-                }
-                records
-            }
-            (records, _) => records,
-        };
-        let mut this =
-            Self { root: root.to_owned(), _lock: lock, folder, records: records.upgraded() };
+        let records = current_records(root)?;
+        let mut this = Self { root: root.to_owned(), _lock: lock, folder, records };
         if written.is_none_or(|written| written.to_json() != this.records.to_json()) {
             this.repair()?;
         }
@@ -386,7 +367,8 @@ pub(crate) fn refuse_workspace(to: &Path) -> Result<(), Error> {
 ///
 /// # Errors
 ///
-/// `stages.json` is damaged or missing, and there is no readable database to restore it from.
+/// `stages.json` is damaged or missing, and there is no readable database to restore it from; or a
+/// record has another format.
 pub(crate) fn current_records(root: &Path) -> Result<Records, Error> {
     let database = root.join(DATABASE);
     let found = Records::read(&root.join(STAGES));
@@ -405,10 +387,10 @@ pub(crate) fn current_records(root: &Path) -> Result<Records, Error> {
         (Err(error), _) => return Err(error),
     };
     match rows {
-        Ok(Some(rows)) => records.take_rows(&rows),
-        Ok(None) if !records.is_without_rows() => records.forget_database(),
+        Ok(Some(rows)) => records.take_rows(&database, &rows)?,
+        Ok(None) => records.forget_database(),
         // The stage that needs a damaged database reports it.
-        Ok(None) | Err(_) => {}
+        Err(_) => {}
     }
     Ok(records)
 }

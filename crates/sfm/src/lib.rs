@@ -47,9 +47,8 @@ pub use tiepoint_matching as matching;
 pub use tiepoint_rig as rig;
 pub use tiepoint_scene as scene;
 pub use tracks::{
-    FilterOptions, TrackOptions, Triangulated, ViewRay, complete_tracks, filter_all_points,
-    filter_images, filter_points, held_out_rms_px, hold_out_tracks, merge_tracks, retriangulate,
-    triangulate, triangulate_image,
+    FilterOptions, TrackOptions, complete_tracks, filter_all_points, filter_points,
+    held_out_rms_px, hold_out_tracks, merge_tracks, retriangulate, triangulate_image,
 };
 pub use two_view::{
     FocalPrior, InitialPair, VerifyOptions, View, estimate_focal_lengths, focal_priors,

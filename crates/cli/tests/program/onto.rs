@@ -92,7 +92,7 @@ fn new_photos_are_registered_onto_an_input_model() {
 
     // With free poses the frame stays, on the average. The features of the first run are kept.
     run(dir.path(), "map []/fixed --input-model {}/ws/sparse/0 --rig off")
-        .failed(1, &["--fix-existing-frames true and not none", "--redo map"]);
+        .failed(1, &["--fix-existing-frames true and not false", "--redo map"]);
     run(dir.path(), "map []/fixed --input-model {}/ws/sparse/0 --redo map").done();
     let free = poses(&read_model(&dir.path().join("fixed/sparse/0")).unwrap());
     assert!(free.len() == ALL && free != after && error_m(&free) < 0.02);

@@ -9,7 +9,7 @@ use crate::{photos, tiepoint_in};
 const COUNT: usize = 4;
 
 /// All regular files below a folder with their content.
-fn files(dir: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+pub(crate) fn files(dir: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let mut all = BTreeMap::new();
     for entry in fs::read_dir(dir).unwrap() {
         let path = entry.unwrap().path();

@@ -4,9 +4,10 @@ use rayon::prelude::*;
 use tiepoint_geometry::CameraModelKind;
 use tiepoint_geometry::nalgebra::Vector2;
 use tiepoint_scene::Camera;
+use tiepoint_simd::Isa;
 
 use super::mix::{WEIGHT_BITS, mix, mix_rgb};
-use super::rgb_row::{OFFSET, Rgb, RowMixer};
+use super::rgb_row::{self, OFFSET, Rgb};
 use super::source_map::{CELL, FRACTION_BITS, RowWalk, SourceMap};
 use crate::Error;
 
@@ -64,10 +65,10 @@ impl Undistortion {
     /// # Errors
     /// [`Error::Size`] if the image does not have the size of the camera.
     pub fn image<const C: usize>(&self, pixels: &[u8]) -> Result<Vec<u8>, Error> {
-        self.image_by::<C>(pixels, RowMixer::available()[0])
+        self.image_by::<C>(pixels, Isa::best())
     }
 
-    fn image_by<const C: usize>(&self, pixels: &[u8], mixer: RowMixer) -> Result<Vec<u8>, Error> {
+    fn image_by<const C: usize>(&self, pixels: &[u8], isa: Isa) -> Result<Vec<u8>, Error> {
         self.check(pixels, C)?;
         if self.is_identity() {
             return Ok(pixels.to_vec());
@@ -82,9 +83,9 @@ impl Undistortion {
                 for (row, out) in out.chunks_exact_mut(row_bytes).enumerate() {
                     let end = ((cell + 1) * CELL * C).min(row_bytes);
                     let (out, _) = out[cell * CELL * C..end].as_chunks_mut::<C>();
-                    let done = walk.as_mut().map_or(0, |walk| {
-                        self.interior_of_row(pixels, walk.next_row(), mixer, out)
-                    });
+                    let done = walk
+                        .as_mut()
+                        .map_or(0, |walk| self.interior_of_row(pixels, walk.next_row(), isa, out));
                     if done != u32::MAX {
                         let (column, row) = (cell * CELL, band * CELL + row);
                         for (k, out) in out.iter_mut().enumerate() {
@@ -119,7 +120,7 @@ impl Undistortion {
         &self,
         pixels: &[u8],
         walk: RowWalk,
-        mixer: RowMixer,
+        isa: Isa,
         out: &mut [[u8; C]],
     ) -> u32 {
         let Camera { width, height, .. } = self.from;
@@ -127,7 +128,7 @@ impl Undistortion {
         if C == 3
             && let Ok(out) =
                 <&mut [[u8; 3]; CELL]>::try_from(out.as_flattened_mut().as_chunks_mut().0)
-            && mixer.mix(Rgb { pixels, width, height }, &walk, out)
+            && rgb_row::mix(isa, Rgb { pixels, width, height }, &walk, out)
         {
             return done;
         }
@@ -296,9 +297,9 @@ mod tests {
                 };
                 let pixels: Vec<u8> =
                     (0..width * height * 3).map(|_| rng.next_u64() as u8).collect();
-                let images: Vec<Vec<u8>> = RowMixer::available()
+                let images: Vec<Vec<u8>> = Isa::available()
                     .into_iter()
-                    .map(|mixer| map.image_by::<3>(&pixels, mixer).unwrap())
+                    .map(|isa| map.image_by::<3>(&pixels, isa).unwrap())
                     .collect();
                 for image in &images {
                     assert!(image == images.last().unwrap(), "{width} × {height}");

@@ -1,5 +1,7 @@
 //! The colours of a row of a cell at once, with AVX2: the same bytes as pixel by pixel.
 
+use tiepoint_simd::{Isa, Level};
+
 use super::mix::WEIGHT_BITS;
 use super::source_map::{CELL, FRACTION_BITS, RowWalk};
 
@@ -15,43 +17,18 @@ pub(super) struct Rgb<'a> {
     pub(super) height: u32,
 }
 
-/// A way to compute the colours of a row, which the CPU supports.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct RowMixer(Kind);
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Kind {
-    #[cfg(target_arch = "x86_64")]
-    Avx2,
-    /// Pixel by pixel.
-    Single,
-}
-
-impl RowMixer {
-    /// The ways that the CPU supports, the best first.
-    pub(super) fn available() -> Vec<Self> {
-        let mut ways = Vec::new();
+/// Sets the colours of a row of pixels at the places of a walk. Returns `false`, and sets nothing,
+/// if a place is not between four pixels of the image or next to the end of the data, and where
+/// `isa` has no AVX2: then pixels are to be computed one by one.
+#[inline]
+pub(super) fn mix(isa: Isa, image: Rgb<'_>, walk: &RowWalk, out: &mut [[u8; 3]; CELL]) -> bool {
+    match isa.level() {
+        // SAFETY: an `Isa` of these levels is only constructed after detection of AVX2.
         #[cfg(target_arch = "x86_64")]
-        if is_x86_feature_detected!("avx2") {
-            ways.push(Self(Kind::Avx2));
-        }
-        ways.push(Self(Kind::Single));
-        ways
-    }
-
-    /// Sets the colours of a row of pixels at the places of a walk. Returns `false`, and sets
-    /// nothing, if a place is not between four pixels of the image or next to the end of the data,
-    /// and where pixels are to be computed one by one.
-    #[inline]
-    pub(super) fn mix(self, image: Rgb<'_>, walk: &RowWalk, out: &mut [[u8; 3]; CELL]) -> bool {
-        match self.0 {
-            // SAFETY: only [`RowMixer::available`] constructs this kind, after detection.
-            #[cfg(target_arch = "x86_64")]
-            Kind::Avx2 => unsafe { avx2::mix(image, walk, out) },
-            Kind::Single => {
-                let _ = (image, walk, out);
-                false
-            }
+        Level::Avx512 | Level::Avx2 => unsafe { avx2::mix(image, walk, out) },
+        Level::Portable => {
+            let _ = (image, walk, out);
+            false
         }
     }
 }

@@ -3,6 +3,7 @@
 use std::ops::Range;
 
 use nalgebra::{Matrix2x3, Matrix3x4, SMatrix, SVector, Vector2, Vector3};
+use tiepoint_simd::dispatch;
 
 use crate::ransac::{Estimator, RansacOptions, Report, ransac};
 use crate::simd::{LANES, Lanes, blocks_of, pack, store};

@@ -3,6 +3,7 @@
 use std::ops::Range;
 
 use nalgebra::{Matrix3, SMatrix, SVector, Vector2};
+use tiepoint_simd::dispatch;
 
 use super::robust_weights::robust_weights;
 use crate::ransac::{Estimator, RansacOptions, Report, ransac};

@@ -1,4 +1,4 @@
-//! Robust estimation of poses, two-view geometry and points: one RANSAC estimator with nonlinear
+//! Robust estimation of poses and two-view geometry: one RANSAC estimator with nonlinear
 //! refinement for each problem. See [`ransac`](crate::ransac()).
 
 mod absolute_pose;
@@ -10,7 +10,6 @@ mod relative_pose;
 mod robust_weights;
 mod sampson;
 mod similarity;
-mod triangulation;
 
 pub use absolute_pose::{absolute_pose, refine_absolute_pose};
 pub use absolute_pose_focal::absolute_pose_focal;
@@ -19,4 +18,3 @@ pub use generalized_absolute_pose::{RigCamera, RigObservation, generalized_absol
 pub use homography::homography;
 pub use relative_pose::{essential, relative_pose};
 pub use similarity::similarity;
-pub use triangulation::{Observation, TriangulationOptions, TriangulationResidual, triangulation};

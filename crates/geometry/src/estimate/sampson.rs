@@ -9,6 +9,7 @@
 use std::ops::{Index, Range};
 
 use nalgebra::{Matrix3, Matrix3x2, Matrix3x4, SMatrix, SVector, Vector2, Vector3};
+use tiepoint_simd::dispatch;
 
 use super::robust_weights::robust_weights;
 use crate::simd::{LANES, Lanes, blocks_of, pack, store};

@@ -2,6 +2,7 @@
 //! (`data/make_opencv.py`).
 
 use nalgebra::{Matrix3, Vector2, Vector3};
+use tiepoint_geometry::triangulate::ViewRay;
 use tiepoint_geometry::{CameraModelKind, Intrinsics, Rigid3, epipolar, triangulate};
 
 const REFERENCE: &str = include_str!("../data/opencv.txt");
@@ -67,6 +68,9 @@ fn two_views() {
     let (a, b) = (essential.normalize(), found.normalize());
     assert!((a - b).norm().min((a + b).norm()) < 1e-6, "{a} {b}");
 
+    let identity = Rigid3::identity();
+    // Its pixels are normalised image coordinates.
+    let camera = Intrinsics::new(CameraModelKind::Pinhole, &[1.0, 1.0, 0.0, 0.0]).expect("a lens");
     let (mut rays1, mut rays2) = (Vec::new(), Vec::new());
     for row in &motions {
         let (point, x1, x2) =
@@ -77,9 +81,10 @@ fn two_views() {
         let two_view =
             triangulate::triangulate_two_view(&ray1, &ray2, &cam2_from_cam1).expect("a point");
         assert!((two_view - point).norm() < 1e-8 * point.norm(), "{two_view} {point}");
-        let cameras = [Rigid3::identity(), cam2_from_cam1];
-        let linear = triangulate::triangulate(&cameras, &[ray1, ray2]).expect("a point");
-        assert!((linear - point).norm() < 1e-8 * point.norm(), "{linear} {point}");
+        let views = [(&identity, x1), (&cam2_from_cam1, x2)]
+            .map(|(pose, pixel)| ViewRay::new(pose, &camera, pixel).expect("a ray"));
+        let robust = triangulate::triangulate(&views, 1e-6, 0.0).expect("a point").xyz;
+        assert!((robust - point).norm() < 1e-8 * point.norm(), "{robust} {point}");
         rays1.push(ray1);
         rays2.push(ray2);
     }

@@ -2,12 +2,15 @@
 
 use nalgebra::{Matrix3, Vector2, Vector3};
 use proptest::prelude::*;
+use tiepoint_geometry::triangulate::{ViewRay, triangulate};
 use tiepoint_geometry::{
     CameraModelKind, Estimator, Intrinsics, Loss, RansacOptions, Rigid3, Rng, Sim3, epipolar,
     estimate, ransac,
 };
 
 const NOISE_PX: f64 = 0.5;
+/// One degree: the smallest triangulation angle.
+const MIN_ANGLE_RAD: f64 = std::f64::consts::PI / 180.0;
 const POINTS: usize = 400;
 /// A third of the data are outliers.
 const OUTLIERS: usize = POINTS / 3;
@@ -318,7 +321,7 @@ proptest! {
         let camera = camera(CameraModelKind::Opencv);
         let truth = cloud(&mut rng)[0];
         let poses: Vec<Rigid3> = (0..views).map(|_| motion(&mut rng)).collect();
-        let observations: Vec<_> = poses
+        let rays: Vec<ViewRay> = poses
             .iter()
             .enumerate()
             .map(|(i, pose)| {
@@ -328,38 +331,19 @@ proptest! {
                 } else {
                     noisy(pixel, &mut rng)
                 };
-                estimate::Observation { cam_from_world: pose, intrinsics: &camera, pixel }
+                ViewRay::new(pose, &camera, pixel).expect("a ray")
             })
             .collect();
-        for residual in
-            [estimate::TriangulationResidual::Pixel, estimate::TriangulationResidual::Angle]
-        {
-            let max_error = match residual {
-                estimate::TriangulationResidual::Pixel => 4.0,
-                estimate::TriangulationResidual::Angle => 4.0 / 800.0,
-            };
-            let options = estimate::TriangulationOptions {
-                min_angle_rad: 1.0_f64.to_radians(),
-                residual,
-                ransac: RansacOptions { max_error, ..OPTIONS },
-            };
-            let Some(report) = estimate::triangulation(&observations, &options) else {
-                // The centres of three cameras can be nearly collinear with the point.
-                prop_assert!(views < 6);
-                continue;
-            };
-            if views - wrong < 5 {
-                continue;
-            }
-            prop_assert!(
-                (report.model - truth).norm() < 0.05 * truth.norm(),
-                "{:?} {truth:?}",
-                report.model
-            );
-            prop_assert!(
-                report.inliers[wrong..].iter().filter(|inlier| **inlier).count()
-                    >= (views - wrong) * 9 / 10
-            );
+        let Some(found) = triangulate(&rays, OPTIONS.max_error, MIN_ANGLE_RAD) else {
+            // The centres of three cameras can be nearly collinear with the point.
+            prop_assert!(views < 6);
+            return Ok(());
+        };
+        if views - wrong >= 5 {
+            prop_assert!((found.xyz - truth).norm() < 0.05 * truth.norm(), "{found:?} {truth:?}");
+            let good = found.inliers.iter().filter(|index| **index >= wrong).count();
+            prop_assert!(good >= (views - wrong) * 9 / 10);
+            prop_assert!(found.inliers.windows(2).all(|pair| pair[0] < pair[1]));
         }
     }
 }
@@ -498,16 +482,11 @@ proptest! {
         let num_behind = (OUTLIERS..POINTS).filter(|&i| points[i].z < 0.0).count();
         prop_assert!(num_behind > 0);
         for i in OUTLIERS..POINTS {
-            let observe = |cam_from_world, pixel| estimate::Observation {
-                cam_from_world,
-                intrinsics: &camera,
-                pixel,
-            };
-            let observations = [observe(&identity, pixels1[i]), observe(&truth, pixels2[i])];
-            let options = estimate::TriangulationOptions::default();
+            let ray = |pose, pixel| ViewRay::new(pose, &camera, pixel).expect("a ray");
+            let rays = [ray(&identity, pixels1[i]), ray(&truth, pixels2[i])];
             // Points near the baseline have a small angle and are not determined.
-            if let Some(report) = estimate::triangulation(&observations, &options) {
-                let angle = angle_between(&report.model, &points[i]);
+            if let Some(found) = triangulate(&rays, OPTIONS.max_error, MIN_ANGLE_RAD) {
+                let angle = angle_between(&found.xyz, &points[i]);
                 prop_assert!(angle < 0.01, "{angle} rad at {}", points[i]);
             }
         }

@@ -97,15 +97,31 @@ proptest! {
     #[test]
     fn triangulation_recovers_the_point(motion in motion(), point in point(), third in motion()) {
         prop_assume!(triangulation_angle(&Vector3::zeros(), &motion.origin_in_a(), &point) > 1e-3);
-        let cameras = [Rigid3::identity(), motion, third];
-        let rays = cameras.map(|camera| camera * point);
-        let two = triangulate_two_view(&rays[0], &rays[1], &motion).expect("in front");
+        let ray = motion * point;
+        let two = triangulate_two_view(&point, &ray, &motion).expect("in front");
         prop_assert!((two - point).norm() < 1e-6 * point.norm());
-        let three = triangulate(&cameras, &rays).expect("in front");
-        prop_assert!((three - point).norm() < 1e-6 * point.norm());
         // With a reversed ray, the point is behind the camera.
-        prop_assert_eq!(triangulate_two_view(&-rays[0], &rays[1], &motion), None);
-        prop_assert_eq!(triangulate(&cameras, &[rays[0], rays[1], -rays[2]]), None);
+        prop_assert_eq!(triangulate_two_view(&-point, &ray, &motion), None);
+
+        // A panorama has a pixel for each ray.
+        let camera = Intrinsics::centred(CameraModelKind::Equirectangular, 800.0, 1600, 800);
+        let poses = [Rigid3::identity(), motion, third];
+        let rays_towards = |signs: [f64; 3]| {
+            [0, 1, 2].map(|i| {
+                let pixel = camera.project(&(poses[i] * point * signs[i])).expect("a pixel");
+                ViewRay::new(&poses[i], &camera, pixel).expect("a ray")
+            })
+        };
+        let rays = rays_towards([1.0; 3]);
+        let all = nearest_to_rays(rays.iter()).expect("determined");
+        prop_assert!((all - point).norm() < 1e-6 * point.norm());
+        let found = triangulate(&rays, 1.0, 5e-4).expect("in front");
+        prop_assert!((found.xyz - point).norm() < 1e-6 * point.norm());
+        prop_assert_eq!(found.inliers, [0, 1, 2]);
+        // The third camera contradicts the other two.
+        let found = triangulate(&rays_towards([1.0, 1.0, -1.0]), 1.0, 5e-4).expect("of two");
+        prop_assert!((found.xyz - point).norm() < 1e-6 * point.norm());
+        prop_assert_eq!(found.inliers, [0, 1]);
     }
 
     /// The angular cost of the triangulated point of noisy rays is a local minimum.
@@ -157,9 +173,14 @@ proptest! {
 fn parallel_rays_have_no_point() {
     let motion = Rigid3::from_axis_angle(Vector3::zeros(), Vector3::x());
     assert_eq!(triangulate_two_view(&Vector3::z(), &Vector3::z(), &motion), None);
-    assert_eq!(triangulate(&[Rigid3::identity(), motion], &[Vector3::z(), Vector3::z()]), None);
-    assert_eq!(triangulate(&[motion], &[Vector3::z()]), None);
-    assert_eq!(triangulate(&[], &[]), None);
+    let camera = Intrinsics::centred(CameraModelKind::Pinhole, 500.0, 640, 480);
+    let centre = Vector2::new(320.0, 240.0);
+    let pose = Rigid3::identity();
+    let rays = [&pose, &motion].map(|pose| ViewRay::new(pose, &camera, centre).unwrap());
+    for rays in [&rays[..], &rays[..1], &[]] {
+        assert!(triangulate(rays, 1.0, 0.0).is_none());
+        assert_eq!(nearest_to_rays(rays.iter()), None);
+    }
 }
 
 #[test]

@@ -1,5 +1,5 @@
 use super::*;
-use crate::random::SplitMix64;
+use crate::random::stream;
 
 const IMAGES: u32 = 400;
 
@@ -56,7 +56,7 @@ fn a_sequence_has_its_neighbours_and_its_loops() {
 #[test]
 fn numbers_in_random_order_are_no_sequence() {
     let mut places: Vec<u32> = (0..IMAGES).collect();
-    SplitMix64::new(3, 0).shuffle(&mut places);
+    stream(3, 0).shuffle(&mut places);
     let positions: Vec<f64> = places.iter().map(|&place| f64::from(place)).collect();
     let chosen = choose(&[camera(0..IMAGES, 0.0, Order::Numbers)], &positions);
     assert_eq!(chosen.is_sequence, [false]);

@@ -67,13 +67,13 @@ mod tests {
     use super::{Isa, nearest_on};
     use crate::distance::squared_distance;
     use crate::prepared::Prepared;
-    use crate::random::SplitMix64;
+    use crate::random::stream;
 
     /// Small enough for Miri and sanitizers: two tiles with padding and an incomplete block of
     /// rows.
     #[test]
     fn few_descriptors_match_the_definition() {
-        let mut random = SplitMix64::new(3, 0);
+        let mut random = stream(3, 0);
         let mut some = |count: usize| -> Vec<Descriptor> {
             (0..count).map(|_| std::array::from_fn(|_| random.below(256) as u8)).collect()
         };

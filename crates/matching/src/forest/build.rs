@@ -10,7 +10,8 @@ use tiepoint_features::Descriptor;
 
 use super::options::ForestOptions;
 use super::tree::{Forest, LEAF_MARK, Node, Row};
-use crate::random::SplitMix64;
+use crate::random::stream;
+use tiepoint_simd::Rng;
 
 /// Number of points from which mean and variance are estimated: FLANN's SAMPLE_MEAN + 1, as
 /// FLANN counts.
@@ -39,7 +40,7 @@ impl Forest {
 fn build_forest(descriptors: Vec<Row>, options: &ForestOptions) -> Forest {
     let trees: Vec<Tree> = (0..options.trees.max(1))
         .into_par_iter()
-        .map(|tree| build_tree(&descriptors, &mut SplitMix64::new(options.seed, u64::from(tree))))
+        .map(|tree| build_tree(&descriptors, &mut stream(options.seed, u64::from(tree))))
         .collect();
     let mut forest =
         Forest { descriptors, nodes: Vec::new(), roots: Vec::new(), points: Vec::new() };
@@ -55,7 +56,7 @@ fn build_forest(descriptors: Vec<Row>, options: &ForestOptions) -> Forest {
     forest
 }
 
-fn build_tree(descriptors: &[Row], random: &mut SplitMix64) -> Tree {
+fn build_tree(descriptors: &[Row], random: &mut Rng) -> Tree {
     let mut points: Vec<u32> = (0..descriptors.len() as u32).collect();
     random.shuffle(&mut points);
     let mut nodes: Vec<Node> = Vec::with_capacity(2 * points.len() + 1);
@@ -86,11 +87,7 @@ fn build_tree(descriptors: &[Row], random: &mut SplitMix64) -> Tree {
 
 /// Dimension and value of a split with two non-empty parts; `None` if the points fit into a leaf or
 /// are equal.
-fn choose_split(
-    descriptors: &[Row],
-    points: &[u32],
-    random: &mut SplitMix64,
-) -> Option<(usize, u8)> {
+fn choose_split(descriptors: &[Row], points: &[u32], random: &mut Rng) -> Option<(usize, u8)> {
     if points.len() <= MAX_LEAF_POINTS {
         return None;
     }
@@ -99,11 +96,7 @@ fn choose_split(
 }
 
 /// A split of a sample of points; `None` if they are equal.
-fn split_from_sample(
-    descriptors: &[Row],
-    sample: &[u32],
-    random: &mut SplitMix64,
-) -> Option<(usize, u8)> {
+fn split_from_sample(descriptors: &[Row], sample: &[u32], random: &mut Rng) -> Option<(usize, u8)> {
     let mut sums = [0u32; 128];
     let mut squares = [0u64; 128];
     // The squares of a hundred bytes fit into 32 bits. Only the sums over all points need 64 bits.

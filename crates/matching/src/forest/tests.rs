@@ -12,8 +12,8 @@ const ALL: Checks = Checks::Total(1_000_000);
 
 /// Points around a few centres: neighbours are much nearer than other points.
 fn clustered(count: usize, seed: u64) -> Vec<Descriptor> {
-    let mut random = crate::random::SplitMix64::new(seed, 0);
-    let mut centres = crate::random::SplitMix64::new(99, 0);
+    let mut random = crate::random::stream(seed, 0);
+    let mut centres = crate::random::stream(99, 0);
     let centres: Vec<Descriptor> =
         (0..40).map(|_| std::array::from_fn(|_| centres.below(120) as u8)).collect();
     (0..count)

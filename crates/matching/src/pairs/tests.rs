@@ -127,12 +127,6 @@ fn closed_ends_are_matched() {
 }
 
 #[test]
-fn listed_pairs_are_normalised_and_checked() {
-    assert_eq!(listed_pairs(&[(3, 1), (1, 3), (2, 2), (0, 1)], 4), Ok(vec![(0, 1), (1, 3)]));
-    assert_eq!(listed_pairs(&[(0, 4)], 4), Err(Error::PairRange { a: 0, b: 4, images: 4 }));
-}
-
-#[test]
 fn invalid_times_are_errors() {
     assert_eq!(
         Sequence::with_times(vec![0, 1], vec![0.0]),

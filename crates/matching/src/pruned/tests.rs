@@ -3,11 +3,12 @@ use tiepoint_features::Descriptor;
 use super::*;
 use crate::brute::nearest_on;
 use crate::matcher::select;
-use crate::random::SplitMix64;
+use crate::random::stream;
+use tiepoint_simd::Rng;
 
 /// A random descriptor similar to SIFT: a few edges, each interpolated over cells and directions,
 /// with norm 512.
-fn descriptor(random: &mut SplitMix64) -> Descriptor {
+fn descriptor(random: &mut Rng) -> Descriptor {
     const EDGES: usize = 8;
     let mut uniform = |end: f64| random.below(1000) as f64 / 1000.0 * end;
     let edges: [[f64; 4]; EDGES] = std::array::from_fn(|_| {
@@ -31,14 +32,14 @@ fn normalised(entries: &[f64; 128]) -> Descriptor {
 }
 
 /// `near` with noise.
-fn similar(near: &Descriptor, noise: usize, random: &mut SplitMix64) -> Descriptor {
+fn similar(near: &Descriptor, noise: usize, random: &mut Rng) -> Descriptor {
     normalised(&near.map(|x| f64::from(x) + random.below(noise + 1) as f64))
 }
 
 /// Two images. Half of the descriptors of the second are those of the first with increasing noise.
 /// Both images have duplicates.
 fn images(len: [usize; 2], seed: u64) -> [Vec<Descriptor>; 2] {
-    let mut random = SplitMix64::new(seed, 0);
+    let mut random = stream(seed, 0);
     let mut a: Vec<Descriptor> = (0..len[0]).map(|_| descriptor(&mut random)).collect();
     for k in (0..len[0]).step_by(9) {
         a[k] = similar(&a[(k * 7 + 1) % len[0]], 5, &mut random);
@@ -86,7 +87,7 @@ fn pruning_gives_the_matches_of_brute_force() {
 
 #[test]
 fn pruning_of_any_descriptors() {
-    let mut random = SplitMix64::new(9, 0);
+    let mut random = stream(9, 0);
     for levels in [2, 3, 256] {
         let mut image = |len: usize| -> Vec<Descriptor> {
             (0..len)

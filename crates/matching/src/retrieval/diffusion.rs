@@ -170,12 +170,12 @@ impl Graph {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::random::SplitMix64;
+    use crate::random::stream;
 
     /// Similarities of a sequence of images. Images at most three positions apart are similar; all
     /// others are unrelated.
     fn rows(images: u32) -> Vec<ImageSimilarities> {
-        let mut random = SplitMix64::new(1, 2);
+        let mut random = stream(1, 2);
         let mut unrelated = || 0.1 + 0.01 * random.below(3) as f32;
         let mut similarities = vec![vec![0f32; images as usize]; images as usize];
         for (a, b) in (0..images as usize).flat_map(|a| (0..a).map(move |b| (a, b))) {

@@ -4,11 +4,11 @@ use tiepoint_features::Descriptor;
 use super::index::dot;
 use super::*;
 use crate::brute::Isa;
-use crate::random::SplitMix64;
+use crate::random::stream;
 
 /// Descriptors of random direction in the first quadrant.
 fn noise(count: usize, seed: u64) -> Vec<Descriptor> {
-    let mut random = SplitMix64::new(seed, 1);
+    let mut random = stream(seed, 1);
     (0..count).map(|_| std::array::from_fn(|_| random.below(90) as u8)).collect()
 }
 
@@ -16,7 +16,7 @@ fn noise(count: usize, seed: u64) -> Vec<Descriptor> {
 /// the previous image, with noise in the descriptors.
 fn wall_sequence(images: usize) -> Vec<Vec<Descriptor>> {
     let wall = noise(10 * images + 60, 3);
-    let mut random = SplitMix64::new(4, 1);
+    let mut random = stream(4, 1);
     let mut seen_again =
         |descriptor: &Descriptor| descriptor.map(|x| x.saturating_add(random.below(9) as u8));
     (0..images)

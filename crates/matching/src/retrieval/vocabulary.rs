@@ -5,7 +5,7 @@ use tiepoint_features::Descriptor;
 
 use crate::brute::nearest;
 use crate::prepared::Prepared;
-use crate::random::SplitMix64;
+use crate::random::stream;
 
 /// Number of descriptors per parallel task.
 const TASK_SIZE: usize = 4096;
@@ -55,7 +55,7 @@ impl Vocabulary {
     /// are sufficient.
     pub fn learn(sample: &[Descriptor], options: &VocabularyOptions) -> Self {
         let mut order: Vec<u32> = (0..sample.len() as u32).collect();
-        SplitMix64::new(options.seed, 0).shuffle(&mut order);
+        stream(options.seed, 0).shuffle(&mut order);
         let words = order.iter().take(options.words).map(|&i| sample[i as usize]).collect();
         let mut vocabulary = Vocabulary::from_words(words);
         let chunks: Vec<Prepared> = sample.par_chunks(TASK_SIZE).map(Prepared::new).collect();

@@ -5,6 +5,7 @@ use tiepoint_features::Descriptor;
 use tiepoint_matching::{
     Isa, Match, Nearest, NearestBothWays, Options, Prepared, match_features, nearest, nearest_on,
 };
+use tiepoint_simd::Rng;
 
 /// The reference implementation.
 fn triple_loop(a: &[Descriptor], b: &[Descriptor]) -> NearestBothWays {
@@ -41,15 +42,9 @@ fn check(a: &[Descriptor], b: &[Descriptor]) {
     assert_eq!(nearest(&a, &b), expected);
 }
 
-/// Pseudo-random numbers (SplitMix64).
 fn random_numbers(seed: u64) -> impl FnMut() -> u64 {
-    let mut state = seed;
-    move || {
-        state = state.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let z = (state ^ (state >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        let z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        z ^ (z >> 31)
-    }
+    let mut rng = Rng::from_state(seed);
+    move || rng.next_u64()
 }
 
 /// Random descriptors with `levels` equally spaced values per byte: 2 gives 0 and 255, 256 gives

@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 use tiepoint_io::database::Database;
 use tiepoint_io::features::{self as sift, Features};
-use tiepoint_io::{ImageFolder, ImageInfo, ImageSource};
+use tiepoint_io::{ImageFolder, ImageInfo};
 use tiepoint_sfm::geometry::{CameraModelKind, Intrinsics};
 use tiepoint_sfm::scene::{Camera, CameraId, Image, ImageId};
 

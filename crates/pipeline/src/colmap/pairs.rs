@@ -9,7 +9,7 @@ use tiepoint_sfm::scene::{Image, ImageId, ImagePair};
 
 use super::scene::open_to_add;
 use crate::matching::match_pairs;
-use crate::pair_choice::{PairChoice, retrieval_index};
+use crate::pair_choice::{PairChoice, all_ids, learn_retrieval};
 use crate::{Error, Event, MatchOptions, MatchReport, Stage, Watch, emit};
 
 /// Which pairs of the images of a database are matched.
@@ -107,7 +107,7 @@ fn choice(
 ) -> Result<PairChoice, Error> {
     let (mut chosen, similar) = pairs.of_names(images);
     if similar > 0 {
-        let index = retrieval_index(database, images.len(), seed)?;
+        let (_, index) = learn_retrieval(database, &all_ids(images.len()), seed)?;
         let known: Vec<(u32, u32)> = chosen.iter().copied().collect();
         chosen.extend(index.pairs(similar as usize, &known));
     }

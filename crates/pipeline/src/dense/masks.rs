@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use tiepoint_dense::undistort::Undistortion;
-use tiepoint_io::{ImageFolder, ImageSource, Luma};
+use tiepoint_io::{ImageFolder, Luma};
 
 use crate::Error;
 use crate::fingerprint::fingerprint;

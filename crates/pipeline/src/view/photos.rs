@@ -5,7 +5,7 @@ use std::convert::Infallible;
 use std::path::Path;
 
 use serde::Serialize;
-use tiepoint_io::{ImageFolder, ImageSource, Rgb};
+use tiepoint_io::{ImageFolder, Rgb};
 use tiepoint_sfm::scene::{Camera, Image, Keypoint, Reconstruction};
 
 use super::coding::{base64, evenly};

@@ -20,7 +20,7 @@ use crate::options::{MapperOptions, RigTerm};
 use crate::register::NextBestView;
 use crate::rigs::{BaselineLink, BaselineTerm, RigPairs, growing_links};
 use crate::tracks::{
-    complete_tracks, filter_all_points, filter_images_except, filter_points, merge_tracks,
+    complete_tracks, filter_all_points, filter_images, filter_points, merge_tracks,
     triangulate_image, update_tracks,
 };
 use crate::two_view::FocalPrior;
@@ -240,7 +240,7 @@ impl<'a> Mapper<'a> {
             adjust(&mut self.solution.model, &Scope::Global, &options, terms, &mut keep_going)?;
         filter_all_points(&mut self.solution.model, &self.options.filter);
         let constant = self.constant_poses;
-        filter_images_except(
+        filter_images(
             &mut self.solution.model,
             self.options.register.min_num_inliers / 2,
             &|image| constant.is_some_and(|images| images.contains(&image)),

@@ -6,14 +6,13 @@
 
 use tiepoint_ba::Summary;
 use tiepoint_geometry::Rigid3;
-use tiepoint_rig::Clock;
 use tiepoint_scene::{CameraId, Reconstruction};
 
 use super::extrinsics::{RigConstraint, RigExtrinsics};
 use super::extrinsics_term::adjust_with_extrinsics;
 use super::frames::add_frames;
 use super::pairs::RigPair;
-use super::sensor_pair::{ClockState, ReferencePose, ReferencedImage, SensorPair};
+use super::sensor_pair::{ReferencePose, ReferencedImage, SensorPair};
 use crate::Error;
 use crate::adjust::AdjustOptions;
 use crate::tracks::{FilterOptions, filter_all_points};
@@ -68,14 +67,7 @@ impl RigidCamera {
             reference: ReferencePose::Synchronous(pair.reference),
         };
         RigExtrinsics {
-            sensor_pair: SensorPair {
-                reference: self.reference,
-                other: self.other,
-                clock: Clock::default(),
-                clock_state: ClockState::Synchronised,
-                assumed_baseline: None,
-                unobservable_direction: None,
-            },
+            sensor_pair: SensorPair::synchronised(self.reference, self.other),
             referenced_images: self.pairs.iter().map(referenced).collect(),
             cam_from_rig: self.cam_from_rig,
             constraint: RigConstraint::Rigid,

@@ -156,6 +156,20 @@ pub struct SensorPair {
     pub unobservable_direction: Option<Vector3<f64>>,
 }
 
+impl SensorPair {
+    /// Two cameras with common points and one clock.
+    pub fn synchronised(reference: CameraId, other: CameraId) -> Self {
+        Self {
+            reference,
+            other,
+            clock: Clock::default(),
+            clock_state: ClockState::Synchronised,
+            assumed_baseline: None,
+            unobservable_direction: None,
+        }
+    }
+}
+
 /// Minimum log-likelihood gain of an estimated offset over the time stamps. The value is far above
 /// the level of chance, because errors of neighbouring poses are correlated.
 const MIN_GAIN: f64 = 10.0;

@@ -109,13 +109,8 @@ fn has_angle(
 }
 
 /// Deregisters images that observe fewer than `min_points` points, and frames whose images do so
-/// together. Returns the images.
-pub fn filter_images(model: &mut Reconstruction, min_points: usize) -> Vec<ImageId> {
-    filter_images_except(model, min_points, &|_| false)
-}
-
-/// [`filter_images`] without the images that `is_kept` names.
-pub(crate) fn filter_images_except(
+/// together, without the images that `is_kept` names. Returns the images.
+pub(crate) fn filter_images(
     model: &mut Reconstruction,
     min_points: usize,
     is_kept: &dyn Fn(ImageId) -> bool,

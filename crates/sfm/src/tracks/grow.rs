@@ -6,9 +6,10 @@
 use std::collections::{BTreeSet, VecDeque};
 
 use tiepoint_geometry::nalgebra::Vector3;
+use tiepoint_geometry::triangulate::{ViewRay, triangulate};
 use tiepoint_scene::{CorrespondenceGraph, ImageId, Observation, PointId, Reconstruction, Track};
 
-use super::triangulation::{self, ViewRay};
+use super::triangulation::view_ray;
 
 /// Thresholds of track creation.
 #[derive(Clone, Copy, Debug)]
@@ -115,9 +116,8 @@ fn create_point(
     options: &TrackOptions,
 ) -> Option<(Vector3<f64>, Vec<Observation>)> {
     let (members, rays): (Vec<Observation>, Vec<ViewRay>) =
-        free.iter().filter_map(|o| Some((*o, ViewRay::of(model, o)?))).unzip();
-    let found =
-        triangulation::triangulate(&rays, options.max_create_error_px, options.min_angle_rad)?;
+        free.iter().filter_map(|o| Some((*o, view_ray(model, o)?))).unzip();
+    let found = triangulate(&rays, options.max_create_error_px, options.min_angle_rad)?;
     Some((found.xyz, found.inliers.into_iter().map(|index| members[index]).collect()))
 }
 

@@ -7,12 +7,11 @@ mod infinity;
 mod selection;
 mod triangulation;
 
-pub(crate) use filter::filter_images_except;
-pub use filter::{FilterOptions, filter_all_points, filter_images, filter_points};
+pub(crate) use filter::filter_images;
+pub use filter::{FilterOptions, filter_all_points, filter_points};
 pub use grow::{TrackOptions, complete_tracks, merge_tracks, retriangulate, triangulate_image};
 pub(crate) use grow::{mean_position, update_tracks};
 pub use hold_out::{held_out_rms_px, hold_out_tracks};
 pub(crate) use infinity::without_points_at_infinity;
 pub(crate) use selection::select_points;
 pub(crate) use triangulation::triangulate_observations;
-pub use triangulation::{Triangulated, ViewRay, triangulate};

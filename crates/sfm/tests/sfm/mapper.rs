@@ -4,7 +4,7 @@
 use std::ops::ControlFlow;
 
 use tiepoint_geometry::nalgebra::{UnitQuaternion, Vector2, Vector3};
-use tiepoint_geometry::triangulate::triangulate;
+use tiepoint_geometry::triangulate::{ViewRay, nearest_to_rays};
 use tiepoint_geometry::{CameraModelKind, Intrinsics, Rigid3, Rng};
 use tiepoint_scene::{
     Camera, CorrespondenceGraph, Image, ImageId, ImagePair, Keypoint, Match, Observation,
@@ -316,16 +316,16 @@ fn held_out_tracks_take_no_part_and_have_the_expected_error() {
         if observations.len() < 3 {
             continue;
         }
-        let poses: Vec<Rigid3> =
-            observations.iter().map(|o| *model.image(o.image).cam_from_world().unwrap()).collect();
         let ray = |o: &Observation| {
-            let pixel = model.image(o.image).keypoints[o.keypoint as usize].pixel;
-            model.camera_of(o.image).intrinsics.unproject(&pixel).unwrap()
+            let image = model.image(o.image);
+            let (pose, intrinsics) =
+                (image.cam_from_world().unwrap(), &model.camera_of(o.image).intrinsics);
+            ViewRay::new(pose, intrinsics, image.keypoints[o.keypoint as usize].pixel).unwrap()
         };
-        let rays: Vec<Vector3<f64>> = observations.iter().map(ray).collect();
+        let rays: Vec<ViewRay> = observations.iter().map(ray).collect();
         num_observations += observations.len();
         degrees_of_freedom += 2 * observations.len() - 3;
-        let xyz = triangulate(&poses, &rays).unwrap();
+        let xyz = nearest_to_rays(rays.iter()).unwrap();
         let track = Track { is_held_out: true, ..Track::new(xyz, observations) };
         held_out.push(model.add_track(track));
     }

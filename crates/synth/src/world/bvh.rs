@@ -4,6 +4,7 @@
 //! vectorises.
 
 use tiepoint_geometry::nalgebra::Vector3;
+use tiepoint_simd::dispatch;
 
 use super::quad::{Quad, Ray};
 
@@ -216,38 +217,16 @@ impl Bvh {
         best
     }
 
-    /// Updates the nearest hits of a packet; ids are quad indices plus `first_id`. The same source
-    /// is compiled for wider vectors; no operations are fused or reordered, so that every processor
-    /// computes the same bits.
+    /// Updates the nearest hits of a packet; ids are quad indices plus `first_id`.
     pub(crate) fn cast_packet(&self, packet: &mut Packet, first_id: u32) {
         if self.nodes.is_empty() {
             return;
         }
-        #[cfg(target_arch = "x86_64")]
-        if is_x86_feature_detected!("avx512f") && is_x86_feature_detected!("avx512vl") {
-            // SAFETY: the processor has what the function is compiled for.
-            return unsafe { self.cast_packet_avx512(packet, first_id) };
-        } else if is_x86_feature_detected!("avx2") {
-            // SAFETY: the processor has what the function is compiled for.
-            return unsafe { self.cast_packet_avx2(packet, first_id) };
-        }
-        self.cast_packet_portable(packet, first_id);
-    }
-
-    #[cfg(target_arch = "x86_64")]
-    #[target_feature(enable = "avx512f,avx512vl")]
-    fn cast_packet_avx512(&self, packet: &mut Packet, first_id: u32) {
-        self.cast_packet_portable(packet, first_id);
-    }
-
-    #[cfg(target_arch = "x86_64")]
-    #[target_feature(enable = "avx2")]
-    fn cast_packet_avx2(&self, packet: &mut Packet, first_id: u32) {
-        self.cast_packet_portable(packet, first_id);
+        cast_packet(self, packet, first_id);
     }
 
     #[inline(always)]
-    fn cast_packet_portable(&self, packet: &mut Packet, first_id: u32) {
+    fn cast_packet_here(&self, packet: &mut Packet, first_id: u32) {
         let inverse = packet.direction.map(|axis| axis.map(|d| 1.0 / d));
         let scaled: [[f32; LANES]; 3] = std::array::from_fn(|axis| {
             std::array::from_fn(|lane| packet.origin[axis][lane] * inverse[axis][lane])
@@ -285,6 +264,13 @@ impl Bvh {
                 packet.intersect(&self.planes[k as usize], first_id + self.order[k as usize]);
             }
         }
+    }
+}
+
+dispatch! {
+    /// [`Bvh::cast_packet_here`], compiled for the vectors of the processor.
+    fn cast_packet(bvh: &Bvh, packet: &mut Packet, first_id: u32) {
+        bvh.cast_packet_here(packet, first_id)
     }
 }
 
@@ -390,7 +376,7 @@ mod tests {
                 }),
             );
             let mut portable = packet;
-            bvh.cast_packet_portable(&mut portable, 100);
+            bvh.cast_packet_here(&mut portable, 100);
             bvh.cast_packet(&mut packet, 100);
             assert_eq!((packet.id, packet.nearest), (portable.id, portable.nearest));
             for (lane, ray) in rays.iter().enumerate() {

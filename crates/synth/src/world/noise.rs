@@ -5,6 +5,8 @@
 //! Textures are therefore anti-aliased at every distance without mipmaps, and edges are at their
 //! exact positions.
 
+use tiepoint_simd::dispatch;
+
 /// Mean of patterns with values in −1..1.
 const MEAN: f32 = 0.0;
 
@@ -154,34 +156,15 @@ fn value_noise(x: f64, y: f64, seed: u32) -> f32 {
 /// Number of positions at which noise is evaluated together: the lanes of the widest vectors.
 const LANES: usize = 8;
 
-/// Value noise at eight positions. The same source is compiled for wider vectors; no operations are
-/// fused or reordered, so that every processor computes the same bits.
-fn value_noises(places: &Places) -> [f32; LANES] {
-    #[cfg(target_arch = "x86_64")]
-    if is_x86_feature_detected!("avx512f") && is_x86_feature_detected!("avx512vl") {
-        // SAFETY: the processor has what the function is compiled for.
-        return unsafe { value_noises_avx512(places) };
-    } else if is_x86_feature_detected!("avx2") {
-        // SAFETY: the processor has what the function is compiled for.
-        return unsafe { value_noises_avx2(places) };
+dispatch! {
+    /// Value noise at eight positions.
+    fn value_noises(places: &Places) -> [f32; LANES] {
+        value_noises_here(places)
     }
-    value_noises_portable(places)
-}
-
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx512f,avx512vl")]
-fn value_noises_avx512(places: &Places) -> [f32; LANES] {
-    value_noises_portable(places)
-}
-
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2")]
-fn value_noises_avx2(places: &Places) -> [f32; LANES] {
-    value_noises_portable(places)
 }
 
 #[inline(always)]
-fn value_noises_portable(places: &Places) -> [f32; LANES] {
+fn value_noises_here(places: &Places) -> [f32; LANES] {
     std::array::from_fn(|k| value_noise(places.x[k], places.y[k], places.seed[k]))
 }
 

@@ -26,7 +26,7 @@ impl Isa for Fused {
         fn run<T: Kernel>(kernel: T) {
             kernel.run::<Fused>();
         }
-        // SAFETY: only `instruction_set` hands out this type, after it has detected the features.
+        // SAFETY: only `instruction_set` uses this type, for an `Isa` that has the features.
         unsafe { run(kernel) }
     }
 }
@@ -47,7 +47,7 @@ impl Isa for Fused512 {
         fn run<T: Kernel>(kernel: T) {
             kernel.run::<Fused512>();
         }
-        // SAFETY: only `instruction_set` hands out this type, after it has detected the features.
+        // SAFETY: only `instruction_set` uses this type, for an `Isa` that has the features.
         unsafe { run(kernel) }
     }
 }

@@ -1,77 +1,46 @@
 //! Run-time choice of the instruction set of the inner loops.
 
-use std::sync::OnceLock;
+use tiepoint_simd::Level;
 
 #[cfg(target_arch = "x86_64")]
 use super::fused::{Fused, Fused512};
 use super::portable::Portable;
 use super::vector::{Isa, Kernel};
 
-/// An instruction set for which the inner loops are compiled.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum InstructionSet {
-    /// The baseline of the target.
-    Portable,
-    /// AVX2 with fused multiply-add.
-    #[cfg(target_arch = "x86_64")]
-    Fused,
-    /// AVX-512 F and VL, and all of `Fused`.
-    #[cfg(target_arch = "x86_64")]
-    Fused512,
-}
-
-impl InstructionSet {
-    /// All that this processor has, the best last.
-    fn available() -> Vec<Self> {
-        #[cfg_attr(not(target_arch = "x86_64"), expect(unused_mut))]
-        let mut sets = vec![Self::Portable];
-        #[cfg(target_arch = "x86_64")]
-        {
-            use std::arch::is_x86_feature_detected as has;
-            let fused = has!("avx2") && has!("fma");
-            sets.extend(fused.then_some(Self::Fused));
-            sets.extend((fused && has!("avx512f") && has!("avx512vl")).then_some(Self::Fused512));
-        }
-        sets
-    }
-}
-
 #[cfg(test)]
 thread_local! {
     /// Replaces the best one in tests on one thread.
-    static FORCED: std::cell::Cell<Option<InstructionSet>> = const { std::cell::Cell::new(None) };
+    static FORCED: std::cell::Cell<Option<tiepoint_simd::Isa>> =
+        const { std::cell::Cell::new(None) };
 }
 
 /// The best one that this processor has.
-fn instruction_set() -> InstructionSet {
-    static BEST: OnceLock<InstructionSet> = OnceLock::new();
+fn best() -> Level {
     #[cfg(test)]
-    if let Some(set) = FORCED.get() {
-        return set;
+    if let Some(isa) = FORCED.get() {
+        return isa.level();
     }
-    *BEST.get_or_init(|| {
-        InstructionSet::available().last().copied().unwrap_or(InstructionSet::Portable)
-    })
+    tiepoint_simd::Isa::best().level()
 }
 
 /// Runs `kernel`, which passes the loops that are to be compiled for the best instruction set to
 /// [`Isa::run`].
 pub(crate) fn dispatch(kernel: impl Kernel) {
-    match instruction_set() {
+    match best() {
         #[cfg(target_arch = "x86_64")]
-        InstructionSet::Fused512 => kernel.run::<Fused512>(),
+        Level::Avx512 => kernel.run::<Fused512>(),
         #[cfg(target_arch = "x86_64")]
-        InstructionSet::Fused => kernel.run::<Fused>(),
-        InstructionSet::Portable => kernel.run::<Portable>(),
+        Level::Avx2 => kernel.run::<Fused>(),
+        Level::Portable => kernel.run::<Portable>(),
     }
 }
 
 /// Runs `kernel` compiled for the best instruction set with vectors of at most four numbers.
 pub(crate) fn run_narrow(kernel: impl Kernel) {
-    match instruction_set() {
-        InstructionSet::Portable => Portable::run(kernel),
+    match best() {
+        Level::Portable => Portable::run(kernel),
         #[cfg(target_arch = "x86_64")]
-        _ => Fused::run(kernel),
+        Level::Avx512 | Level::Avx2 => Fused::run(kernel),
     }
 }
 
@@ -84,7 +53,9 @@ mod tests {
     use tiepoint_geometry::cameras::{Opencv, Pinhole, SimplePinhole};
     use tiepoint_geometry::{CameraModel, Loss, Manifold, Rigid3, Rng};
 
-    use super::{FORCED, InstructionSet};
+    use tiepoint_simd::Isa;
+
+    use super::FORCED;
     use crate::factors::{Between, Prior, Reprojection};
     use crate::{LinearSolver, Options, Order, Problem, Solver};
 
@@ -101,7 +72,7 @@ mod tests {
     fn step<M: CameraModel<Params = SVector<f64, N>>, const N: usize>(
         params: [f64; N],
         shared: bool,
-        set: InstructionSet,
+        set: Isa,
     ) -> Vec<f64>
     where
         SVector<f64, N>: Manifold,
@@ -177,7 +148,7 @@ mod tests {
         SVector<f64, N>: Manifold,
     {
         for shared in [false, true] {
-            let [portable, others @ ..] = &InstructionSet::available()[..] else { return };
+            let [others @ .., portable] = &Isa::available()[..] else { return };
             let expected = step::<M, N>(params, shared, *portable);
             let found: Vec<_> =
                 others.iter().map(|&set| step::<M, N>(params, shared, set)).collect();

@@ -1,0 +1,53 @@
+//! The format of the files that only this program reads again: `stages.json`, its rows in the
+//! database, and `rig.json`. Each begins with the number of its format, so that a file of another
+//! version is refused instead of being misread.
+
+use std::path::Path;
+
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+
+use crate::Error;
+use crate::records::json;
+
+/// The format that is written, and the only one that is read.
+const FORMAT: u64 = 1;
+
+/// A file's content with its format.
+#[derive(Serialize)]
+struct Numbered<'a, T> {
+    format: u64,
+    #[serde(flatten)]
+    content: &'a T,
+}
+
+/// What is read of a file before its content.
+#[derive(Deserialize)]
+#[serde(expecting = "an object")]
+struct Header {
+    /// `None` in files of before 0.1.0.
+    format: Option<u64>,
+}
+
+/// A file as JSON, with its format.
+pub(crate) fn to_json(content: &impl Serialize) -> Vec<u8> {
+    json(&Numbered { format: FORMAT, content })
+}
+
+/// The content of the file at `path`. `broken` makes the error of a text that is not JSON of this
+/// form.
+///
+/// # Errors
+///
+/// [`Error::OtherFormat`] if another version wrote the file, and that of `broken`.
+pub(crate) fn from_json<T: DeserializeOwned>(
+    path: &Path,
+    text: &[u8],
+    broken: impl Fn(String) -> Error,
+) -> Result<T, Error> {
+    let parsed = |error: serde_json::Error| broken(error.to_string());
+    match serde_json::from_slice::<Header>(text).map_err(parsed)?.format {
+        Some(FORMAT) => serde_json::from_slice(text).map_err(parsed),
+        found => Err(Error::OtherFormat { path: path.to_owned(), found, known: FORMAT }),
+    }
+}
