@@ -27,7 +27,7 @@ from pathlib import Path
 from program import program_of
 
 # What holds times, and what holds a hash of that.
-TIMED = {"report.json", ".tiepoint.json"}
+TIMED = {"report.json", "tiepoint-files.json"}
 
 RECONSTRUCT = """
 import sys, tiepoint

@@ -10,7 +10,7 @@ fuzz_target!(|data: &[u8]| {
     let dir = folder();
     let root = dir.join("ws");
     write_model(&root.join("sparse/0"));
-    files(&root, &["stages.json", "report.json", ".tiepoint.json"], data);
+    files(&root, &["stages.json", "report.json", "tiepoint-files.json"], data);
     let _ = model_folder(&root);
     if let Ok(workspace) = Workspace::open(&root) {
         let _ = workspace.report();

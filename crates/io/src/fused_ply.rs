@@ -42,7 +42,7 @@ impl FusedPly {
     /// If the file cannot be written.
     pub fn finish(self) -> Result<u64> {
         let count = self.0.count;
-        let header = header(None, count, &["x", "y", "z", "nx", "ny", "nz"]);
+        let header = header(None, count, "float", &["x", "y", "z", "nx", "ny", "nz"]);
         self.0.finish(header.as_bytes())?;
         Ok(count)
     }

@@ -12,7 +12,7 @@ use crate::regular_file::require_regular_file;
 use crate::{AtomicFile, Error, Result};
 
 /// Name of the manifest: `{"program": "tiepoint", "files": {"images/a.jpg": ["<BLAKE3>"]}, …}`.
-pub const MANIFEST: &str = ".tiepoint.json";
+pub const MANIFEST: &str = "tiepoint-files.json";
 /// Value of `program`.
 const PROGRAM: &str = "tiepoint";
 

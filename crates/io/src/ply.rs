@@ -23,6 +23,10 @@ pub struct Vertex {
 const GREY: [u8; 3] = [128; 3];
 /// Colour of camera centres.
 const RED: [u8; 3] = [255, 0, 0];
+/// Detail of a cloud that a file keeps, as a share of its size: a hundredth of a pixel in an image of
+/// 5,000 pixels that shows all of it. Clouds whose mean is within 16 times their size of the origin
+/// are in single precision; half or double of it changes this distance to 8 or 33.
+const MIN_DETAIL: f64 = 2e-6;
 /// Longest line of a header, in bytes.
 const MAX_HEADER_LINE_BYTES: u64 = 1 << 12;
 /// Most properties of an element; a header with more is invalid.
@@ -38,34 +42,49 @@ pub fn camera_centres(model: &Reconstruction) -> Vec<Vertex> {
     model.registered().map(|(.., pose)| Vertex { xyz: pose.origin_in_a(), color: RED }).collect()
 }
 
-/// Writes points in single precision, binary little-endian.
+/// Writes points, binary little-endian, in single precision where that holds the cloud: every
+/// reader takes it. Clouds far from the origin, as in UTM coordinates, have double precision.
 ///
 /// # Errors
 ///
 /// If the file cannot be written.
 pub fn write(path: &Path, vertices: &[Vertex]) -> Result<()> {
+    let is_far = is_far_from_origin(vertices);
     AtomicFile::write_with(path, |file| {
         let count = vertices.len() as u64;
-        file.write_all(header(Some("tiepoint"), count, &["x", "y", "z"]).as_bytes())?;
+        let real = if is_far { "double" } else { "float" };
+        file.write_all(header(Some("tiepoint"), count, real, &["x", "y", "z"]).as_bytes())?;
         vertices.iter().try_for_each(|vertex| {
-            vertex
-                .xyz
-                .iter()
-                .try_for_each(|value| file.write_all(&(*value as f32).to_le_bytes()))?;
+            vertex.xyz.iter().try_for_each(|value| match is_far {
+                true => file.write_all(&value.to_le_bytes()),
+                false => file.write_all(&(*value as f32).to_le_bytes()),
+            })?;
             file.write_all(&vertex.color)
         })
     })
 }
 
-/// The header of a binary little-endian file of vertices: `floats`, then red, green and blue.
-pub(crate) fn header(comment: Option<&str>, count: u64, floats: &[&str]) -> String {
+/// Whether single precision would merge points that differ by [`MIN_DETAIL`] of the cloud's size:
+/// the root mean square distance from its mean, which single far points hardly change.
+fn is_far_from_origin(vertices: &[Vertex]) -> bool {
+    let finite = || vertices.iter().filter(|vertex| vertex.xyz.iter().all(|x| x.is_finite()));
+    let count = finite().count().max(1) as f64;
+    let mean = finite().map(|vertex| vertex.xyz).sum::<Vector3<f64>>() / count;
+    let variance = finite().map(|vertex| (vertex.xyz - mean).norm_squared()).sum::<f64>() / count;
+    let spacing = mean.amax() * f64::from(f32::EPSILON);
+    spacing > MIN_DETAIL * variance.sqrt()
+}
+
+/// The header of a binary little-endian file of vertices: `names` of the type `real`, then red,
+/// green and blue.
+pub(crate) fn header(comment: Option<&str>, count: u64, real: &str, names: &[&str]) -> String {
     let mut header = "ply\nformat binary_little_endian 1.0\n".to_owned();
     if let Some(comment) = comment {
         header += &format!("comment {comment}\n");
     }
     header += &format!("element vertex {count}\n");
-    for name in floats {
-        header += &format!("property float {name}\n");
+    for name in names {
+        header += &format!("property {real} {name}\n");
     }
     for name in ["red", "green", "blue"] {
         header += &format!("property uchar {name}\n");

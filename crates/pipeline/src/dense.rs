@@ -24,7 +24,7 @@ use tiepoint_sfm::scene::{Image, ImageId, Reconstruction};
 use self::masks::Masks;
 use crate::dense_options::DenseOptions;
 use crate::file_names::{DENSE, DENSE_CLOUD, depth_map_path, model_path};
-use crate::model_photos::{photos_of, write_undistorted};
+use crate::model_photos::{check_sizes, photos_of, write_undistorted};
 use crate::output_folder::model_names;
 use crate::records::{Progress, Recipe};
 use crate::{DenseReport, DenseStep, Error, Event, Stage, Watch, Workspace, emit, option_keys};
@@ -70,11 +70,9 @@ pub fn dense(
     let folder = workspace.root().join(model_path(0));
     let model = read_model(&folder)?;
     let photos = photos_of(workspace.root(), None, &model)?;
-    // First of all, as the size of a camera decides how long its undistortion takes, and before old
-    // results are removed, which bad photos would not replace.
-    for (image, photo) in &photos {
-        let camera = model.camera(image.camera);
-        Rgb::check_size(photo, camera.width, camera.height)?;
+    // Before old results are removed, which bad photos would not replace.
+    check_sizes(&photos, &model)?;
+    for (image, _) in &photos {
         masks.as_ref().map_or(Ok(()), |masks| masks.check(&image.name))?;
     }
     let undistort =

@@ -586,6 +586,15 @@ pub enum Error {
         /// The file.
         path: PathBuf,
     },
+    /// A photo was replaced since its features were extracted.
+    #[error(
+        "{path} is not the photo that the model was made from, which had the same name: put that \
+        photo back, or make the model anew with --redo features"
+    )]
+    ChangedPhoto {
+        /// The photo.
+        path: PathBuf,
+    },
     /// A photo that EXIF turns lies where an export would put an upright copy.
     #[error(
         "{path} is stored turned and has an EXIF orientation, which readers of this format ignore: \

@@ -23,7 +23,7 @@ use crate::image_names::first_folder;
 use crate::kalibr;
 use crate::memory::budget_bytes;
 use crate::model_location::ModelLocation;
-use crate::model_photos::{photos_of, write_undistorted};
+use crate::model_photos::{check_sizes, photos_of, write_undistorted};
 use crate::ordered::for_each_within_budget;
 use crate::output_file::{COMMENT_MARK, GLTF_MARK, LAS_MARK, PLY_MARK, write_file};
 use crate::output_folder::{OutputFolder, model_names, output, renamed};
@@ -352,6 +352,7 @@ fn export_openmvs(from: &ExportSource, model: &Reconstruction, to: &Path) -> Res
         return Err(Error::NoImagePlane { image: image.name.clone() });
     }
     let photos = photos_of(from.model, from.images, model)?;
+    check_sizes(&photos, model)?;
     let mut folder = OutputFolder::open(to)?;
     folder.protect(photos.iter().map(|(_, path)| path.as_path()));
     let mut names: Vec<String> = photos.iter().map(|(image, _)| image_name(image)).collect();
@@ -436,10 +437,7 @@ fn with_photos(
     write: impl FnOnce(&OutputFolder) -> Result<Vec<String>, Error>,
 ) -> Result<usize, Error> {
     let photos = photos_of(from.model, from.images, model)?;
-    photos.par_iter().try_for_each(|(image, path)| {
-        let camera = model.camera(image.camera);
-        Rgb::check_size(path, camera.width, camera.height)
-    })?;
+    check_sizes(&photos, model)?;
     // Readers of these formats take the pixels as they are stored.
     let is_turned = |path: &Path| Exif::read(path).is_ok_and(|exif| exif.orientation > 1);
     let mut folder = OutputFolder::open(to)?;

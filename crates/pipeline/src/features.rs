@@ -202,6 +202,9 @@ pub fn extract_features(
     // The report is written first, because the database marks the stage as complete.
     workspace.complete(STAGE);
     workspace.note(|all| all.stages.features = Some(report))?;
+    let fingerprints = photos.fingerprints(&usable);
+    let fingerprints = fingerprints.iter().map(|(name, text)| (*name, text.as_str()));
+    database.write_photo_fingerprints(fingerprints)?;
     database.write_stage_rows(&workspace.records.rows())?;
     database.close()?;
     emit(watch, &Event::StageDone { stage: STAGE, seconds })

@@ -32,6 +32,11 @@ pub(crate) fn fingerprint(folder: &ImageFolder) -> Result<String, Error> {
     Ok(all.finalize().to_hex().to_string())
 }
 
+/// Fingerprint of one image file.
+pub(crate) fn of_photo(path: &Path) -> io::Result<String> {
+    Ok(blake3::Hash::from_bytes(of_file(path)?).to_hex().to_string())
+}
+
 /// Fingerprint of a small file, of its whole content.
 pub(crate) fn of_text(path: &Path) -> Result<String, Error> {
     require_regular_file(path)?;

@@ -3,12 +3,15 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use rayon::prelude::*;
 use tiepoint_dense::undistort::Undistortion;
+use tiepoint_io::database::Database;
 use tiepoint_io::{ImageFolder, Luma, Rgb};
 use tiepoint_sfm::scene::{Image, Reconstruction};
 
+use crate::fingerprint::of_photo;
 use crate::model_location::ModelLocation;
-use crate::workspace::{current_records, is_workspace};
+use crate::workspace::{DATABASE, current_records, is_workspace};
 use crate::{Error, model_folder};
 
 /// The photos of the registered images of a model, by name.
@@ -44,6 +47,15 @@ impl ModelPhotos {
                 return Err(Error::NoPhoto { image: image.name.clone(), inputs });
             }
         }
+        let known = fingerprints_of(&root)?;
+        let photos: Vec<&str> =
+            model.registered().map(|(_, image, _)| image.name.as_str()).collect();
+        photos.par_iter().try_for_each(|image| match known.get(*image) {
+            Some(known) if !is_unchanged(this.path(image), known) => {
+                Err(Error::ChangedPhoto { path: this.path(image).to_owned() })
+            }
+            _ => Ok(()),
+        })?;
         Ok(this)
     }
 
@@ -127,6 +139,25 @@ impl ModelPhotos {
     }
 }
 
+/// The fingerprints of the photos that the features of a workspace are of, by the names of the
+/// images; empty for features that another program made.
+///
+/// # Errors
+///
+/// The database cannot be read.
+pub(crate) fn fingerprints_of(root: &Path) -> Result<BTreeMap<String, String>, Error> {
+    let database = root.join(DATABASE);
+    if !database.is_file() {
+        return Ok(BTreeMap::new());
+    }
+    Ok(Database::open_read_only(&database)?.read_photo_fingerprints()?)
+}
+
+/// Whether a photo has a fingerprint. A photo that cannot be read is reported by what reads it.
+pub(crate) fn is_unchanged(photo: &Path, known: &str) -> bool {
+    of_photo(photo).map_or(true, |found| found == known)
+}
+
 /// The registered images of a model, with the files of their photos: below the folder `images`, or
 /// the inputs of the workspace that the model is in.
 ///
@@ -144,6 +175,22 @@ pub(crate) fn photos_of<'a>(
     };
     let photo = |image: &'a Image| (image, photos.path(&image.name).to_owned());
     Ok(model.registered().map(|(_, image, _)| photo(image)).collect())
+}
+
+/// Checks, by the headers alone, that photos have the sizes of their cameras. First of all, as the
+/// size of a camera decides how long its undistortion takes.
+///
+/// # Errors
+///
+/// One has not, or cannot be read.
+pub(crate) fn check_sizes(
+    photos: &[(&Image, PathBuf)],
+    model: &Reconstruction,
+) -> Result<(), Error> {
+    photos.par_iter().try_for_each(|(image, path)| {
+        let camera = model.camera(image.camera);
+        Ok(Rgb::check_size(path, camera.width, camera.height)?)
+    })
 }
 
 /// Writes the undistorted image of a photo.

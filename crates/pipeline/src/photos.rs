@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use tiepoint_io::{ImageFolder, ImageInfo};
 
 use crate::calibration::Calibrations;
-use crate::fingerprint::fingerprint;
+use crate::fingerprint::{fingerprint, of_photo};
 use crate::grouping::{CameraGrouping, CameraNumbers, GroupedPhoto};
 use crate::{Error, Size, SkippedImage};
 
@@ -76,6 +76,13 @@ impl Photos {
 
     pub(crate) fn name(&self, photo: &Photo) -> &str {
         &self.folder.images()[photo.index].name
+    }
+
+    /// The name and the fingerprint of each of these photos; those that cannot be read are left out.
+    pub(crate) fn fingerprints(&self, of: &[Photo]) -> Vec<(&str, String)> {
+        let fingerprint =
+            |photo: &Photo| Some((self.name(photo), of_photo(self.folder.path(photo.index)).ok()?));
+        of.par_iter().filter_map(fingerprint).collect()
     }
 
     /// Fingerprint of all photos and masks.

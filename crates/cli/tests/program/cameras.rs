@@ -221,11 +221,18 @@ fn exports_have_the_pixels_that_the_model_is_of() {
     let mut small = Vec::new();
     let resized = imageops::resize(&photos::photo(2, 0), 200, 150, imageops::FilterType::Nearest);
     JpegEncoder::new(&mut small).encode_image(&resized).unwrap();
-    for bytes in [small, Vec::new(), b"hello".to_vec()] {
+    let cut = fs::read(photo(2)).unwrap()[..900].to_vec();
+    // Of the same size.
+    let other = jpeg(3, false);
+    for bytes in [cut, other, small, Vec::new(), b"hello".to_vec()] {
         fs::write(photo(2), bytes).unwrap();
-        for format in ["nerfstudio", "openmvs"] {
-            let line = format!("export {{}}/ws --to {format} -o {{}}/changed-{format}");
-            tiepoint_in(dir, &line).failed(1, &["2.jpg"]);
+        for line in [
+            "export {}/ws --to nerfstudio -o {}/changed",
+            "export {}/ws --to openmvs -o {}/changed",
+            "undistort {}/ws -o {}/changed",
+            "dense {}/ws",
+        ] {
+            tiepoint_in(dir, line).failed(1, &["2.jpg"]);
         }
     }
 }

@@ -63,7 +63,7 @@ const NAMES: [&str; 22] = [
     ".tiepoint-commit",
     ".tiepoint-new",
     ".tiepoint-old",
-    ".tiepoint.json",
+    "tiepoint-files.json",
     ".lock",
     "report.html",
     "report.json",
@@ -174,7 +174,7 @@ impl Scene {
         let text = json!({"program": "tiepoint", "files": files, "order": order,
             "removed": removed});
         // A link may stand there.
-        let path = self.hostile(".tiepoint.json");
+        let path = self.hostile("tiepoint-files.json");
         let _ = fs::remove_file(&path);
         fs::write(path, text.to_string()).unwrap();
     }
@@ -228,7 +228,7 @@ fn manifest_of_others_moves_nothing_outside_of_its_folder() {
             let hash = blake3::hash(&cameras).to_hex().to_string();
             let text = json!({"program": "tiepoint", "files": {"cameras.bin": [hash]},
                 "order": ["cameras.bin"]});
-            fs::write(scene.hostile(".tiepoint.json"), text.to_string()).unwrap();
+            fs::write(scene.hostile("tiepoint-files.json"), text.to_string()).unwrap();
         }),
     ];
     for (case, attack) in attacks {

@@ -359,6 +359,36 @@ fn no_command_replaces_a_file_that_it_reads_or_did_not_make() {
 }
 
 #[test]
+fn workspace_copied_without_hidden_files_knows_its_own() {
+    let dir = tempfile::tempdir().unwrap();
+    let dir = dir.path();
+    reconstructed(dir, "photos");
+    tiepoint_in(dir, "dense {}/ws").done();
+    let copy = || {
+        let _ = fs::remove_dir_all(dir.join("copy"));
+        for (path, bytes) in files(&dir.join("ws")) {
+            let name = path.strip_prefix(dir.join("ws")).unwrap();
+            // As `cp -r ws/* copy` does it.
+            if !name.to_str().unwrap().starts_with('.') {
+                let to = dir.join("copy").join(name);
+                fs::create_dir_all(to.parent().unwrap()).unwrap();
+                fs::write(to, bytes).unwrap();
+            }
+        }
+    };
+    copy();
+    for line in ["map {}/copy --redo map", "dense {}/copy --redo dense"] {
+        tiepoint_in(dir, line).done();
+    }
+    for name in ["points.ply", "sparse/0/images.bin"] {
+        copy();
+        fs::write(dir.join("copy").join(name), "MY OWN").unwrap();
+        tiepoint_in(dir, "map {}/copy --redo map").failed(1, &[name, "did not make it"]);
+        assert_eq!(fs::read(dir.join("copy").join(name)).unwrap(), b"MY OWN");
+    }
+}
+
+#[test]
 fn drive_that_was_killed_at_its_first_file_continues() {
     let dir = tempfile::tempdir().unwrap();
     let drive = dir.path().join("drive");

@@ -8,7 +8,8 @@
 //! Each `write_*` is one transaction. An open file has a write-ahead log beside it;
 //! [`Database::close`] checkpoints the log, so that one file remains.
 //!
-//! One table is not in COLMAP's schema: `tiepoint_stages` records the inputs of the stages that
+//! Two tables are not in COLMAP's schema: `tiepoint_photos` has the fingerprints of the photos, and
+//! `tiepoint_stages` records the inputs of the stages that
 //! filled the other tables. COLMAP ignores it.
 
 mod append;
@@ -18,6 +19,7 @@ mod create;
 mod features;
 mod guard;
 mod pairs;
+mod photos;
 mod read_only;
 mod rigs;
 mod schema;

@@ -10,13 +10,14 @@ pub(super) const REQUIRED: [&str; 6] =
     ["cameras", "images", "keypoints", "descriptors", "matches", "two_view_geometries"];
 
 /// Tables of newer versions, and our own.
-const OPTIONAL: [&str; 7] = [
+const OPTIONAL: [&str; 8] = [
     "inlier_matches",
     "rigs",
     "rig_sensors",
     "frames",
     "frame_data",
     "pose_priors",
+    "tiepoint_photos",
     "tiepoint_stages",
 ];
 

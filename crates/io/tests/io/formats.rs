@@ -475,3 +475,28 @@ fn sparse_files_of_more_than_memory_are_refused() {
         assert!(error.contains("more than memory holds"), "{error}");
     }
 }
+
+#[test]
+fn clouds_in_utm_coordinates_keep_their_millimetres() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("utm.ply");
+    // Origins, and whether single precision holds a cloud of 100 m there.
+    for (origin, is_single) in
+        [([0.0; 3], true), ([300.0; 3], true), ([500_000.0, 5.4e6, 300.0], false)]
+    {
+        let vertices: Vec<Vertex> = (0..100)
+            .map(|i| Vertex {
+                xyz: Vector3::from(origin) + Vector3::new(f64::from(i), 0.001 * f64::from(i), 1.0),
+                color: [1, 2, 3],
+            })
+            .collect();
+        ply::write(&path, &vertices).unwrap();
+        let text = String::from_utf8_lossy(&std::fs::read(&path).unwrap()).into_owned();
+        assert_eq!(text.contains("property float x"), is_single, "{origin:?}");
+        for (read, written) in ply::read(&path).unwrap().iter().zip(&vertices) {
+            assert!((read.xyz - written.xyz).amax() < 1e-4, "{origin:?}: {read:?}");
+        }
+    }
+    ply::write(&path, &[]).unwrap();
+    assert!(ply::read(&path).unwrap().is_empty());
+}

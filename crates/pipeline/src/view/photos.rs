@@ -11,6 +11,7 @@ use tiepoint_sfm::scene::{Camera, Image, Keypoint, Reconstruction};
 use super::coding::{base64, evenly};
 use crate::colors::decoder_bytes;
 use crate::memory::budget_bytes;
+use crate::model_photos::{fingerprints_of, is_unchanged};
 use crate::ordered::for_each_within_budget;
 use crate::workspace::{current_records, is_workspace};
 
@@ -40,6 +41,8 @@ impl Thumbnails {
     pub fn of_workspace(workspace: &Path, model: &Reconstruction, max_bytes: usize) -> Self {
         let records = is_workspace(workspace).then(|| current_records(workspace).ok()).flatten();
         let inputs = records.map_or_else(Vec::new, |records| records.inputs);
+        // The inputs of a workspace from elsewhere might name anybody's photos.
+        let known = fingerprints_of(workspace).unwrap_or_default();
         let Ok(folder) = ImageFolder::open(&inputs, None) else { return Self::default() };
         let listed = folder.images().iter().enumerate();
         let by_name: BTreeMap<&str, usize> =
@@ -50,6 +53,8 @@ impl Thumbnails {
             .step_by(step)
             .filter_map(|(_, image, _)| {
                 let path = folder.path(*by_name.get(image.name.as_str())?);
+                let known = known.get(&image.name).map(|known| is_unchanged(path, known));
+                known.unwrap_or(true).then_some(())?;
                 Some((image, model.camera(image.camera), path))
             })
             .collect();
