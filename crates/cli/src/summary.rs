@@ -36,6 +36,9 @@ pub(crate) fn report(workspace: &Path, report: &Report) -> String {
         line(format_args!(
             "features  {images} images{cameras}, {keypoints} keypoints{skipped}  ({seconds:.1} s)"
         ));
+        for note in &features.notes {
+            line(format_args!("          {note}"));
+        }
     }
     if let Some(matches) = &report.stages.matches {
         let (pairs, verified, inliers) =

@@ -38,6 +38,7 @@ pub mod similarity;
 pub mod strecha;
 mod text;
 pub mod timestamps;
+mod tone_map;
 pub mod trajectory;
 pub mod video;
 mod yaml;

@@ -135,6 +135,9 @@ pub fn extract_features(
         watch,
         &Event::StageBegan { stage: STAGE, total: usable.len(), done: usable.len() - tasks.len() },
     )?;
+    for what in &photos.notes {
+        emit(watch, &Event::Noted { what })?;
+    }
     for SkippedImage { image, why } in &skipped {
         emit(watch, &Event::ImageSkipped { image, why })?;
     }
@@ -195,6 +198,7 @@ pub fn extract_features(
         images: found.len(),
         keypoints: found.iter().sum(),
         skipped,
+        notes: photos.notes.clone(),
         cameras: cameras
             .map(|(index, camera)| CameraReport::new(CameraId::from_index(index), camera, None))
             .collect(),

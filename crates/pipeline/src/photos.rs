@@ -16,6 +16,8 @@ pub struct Photos {
     pub(crate) folder: ImageFolder,
     pub(crate) inputs: Vec<PathBuf>,
     masks: Option<PathBuf>,
+    /// What the report notes about them.
+    pub(crate) notes: Vec<String>,
 }
 
 /// A photo whose header could be read.
@@ -48,6 +50,7 @@ impl Photos {
             folder,
             inputs: inputs.iter().map(absolute).collect::<Result<_, _>>()?,
             masks: masks.map(Path::to_owned),
+            notes: Vec::new(),
         };
         let found = photos.folder.images().len();
         if found < 2 {

@@ -47,6 +47,9 @@ pub struct FeaturesReport {
     pub keypoints: usize,
     /// Images that were skipped.
     pub skipped: Vec<SkippedImage>,
+    /// What was noted about the input, a sentence each.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub notes: Vec<String>,
     /// Initial cameras.
     pub cameras: Vec<CameraReport>,
 }
