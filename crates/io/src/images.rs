@@ -14,11 +14,77 @@ use crate::regular_file::{escaped, irregular_kind, require_regular_file};
 use crate::{DEFAULT_MAX_PIXELS, Error, Luma, Result, Rgb};
 
 /// File name extensions of images, in any case.
-const IMAGE_EXTENSIONS: [&str; 5] = ["jpg", "jpeg", "png", "tif", "tiff"];
-/// File name extensions of HEIF photos, which no mature library in Rust decodes.
-const HEIF_EXTENSIONS: [&str; 3] = ["heic", "heif", "hif"];
+const IMAGE_EXTENSIONS: [&str; 11] =
+    ["jpg", "jpeg", "jpe", "jfif", "png", "tif", "tiff", "webp", "bmp", "ppm", "pgm"];
+/// File name extensions of videos, in any case.
+pub(crate) const VIDEO_EXTENSIONS: [&str; 8] =
+    ["mp4", "mov", "m4v", "mkv", "avi", "mts", "m2ts", "webm"];
+/// Photos that are not read, because no kept library in Rust decodes them (HEIC, AVIF), or none with
+/// a licence like ours (camera raw), or because none encodes them, and an undistorted photo has the
+/// format of its photo (JPEG 2000, JPEG XL). They are named.
+const UNREAD: [Unread; 7] = [
+    Unread {
+        extensions: &["heic", "heif", "hif"],
+        what: "a HEIC photo",
+        remedy: "convert them to JPEG, as with `heif-convert {from} {to}`",
+        to: "jpg",
+    },
+    Unread {
+        extensions: &["avif", "avifs"],
+        what: "an AVIF photo",
+        remedy: "convert them, as with `avifdec {from} {to}`",
+        to: "png",
+    },
+    Unread {
+        extensions: &["jp2", "j2k", "j2c", "jpc", "jpf", "jpx", "jpm"],
+        what: "a JPEG 2000 photo",
+        remedy: "convert them, as with `opj_decompress -i {from} -o {to}`",
+        to: "png",
+    },
+    Unread {
+        extensions: &["jxl"],
+        what: "a JPEG XL photo",
+        remedy: "convert them, as with `djxl {from} {to}`",
+        to: "png",
+    },
+    Unread {
+        extensions: &[
+            "dng", "cr2", "cr3", "crw", "nef", "nrw", "arw", "srf", "sr2", "raf", "rw2", "rwl",
+            "orf", "pef", "srw", "x3f", "3fr", "fff", "iiq", "erf", "mef", "mos", "mrw", "dcr",
+            "kdc", "gpr", "raw",
+        ],
+        what: "a camera's raw file",
+        remedy: "develop them to JPEG or TIFF, as with `darktable-cli {from} {to}`",
+        to: "jpg",
+    },
+    Unread {
+        extensions: &["gif", "tga", "exr", "hdr", "psd", "dds", "qoi", "mpo"],
+        what: "an image of another format",
+        remedy: "convert them, as with `magick {from} {to}`",
+        to: "png",
+    },
+    Unread {
+        extensions: &VIDEO_EXTENSIONS,
+        what: "a video beside photos",
+        remedy: "give videos in a run of their own, or their frames as photos, as with `ffmpeg -i \
+                 {from} {to}`",
+        to: "%06d.jpg",
+    },
+];
+/// More names of files that are not read are counted, not listed.
+const MAX_UNREAD_NAMES: usize = 8;
 /// Deepest folder below an input; deeper ones mean a cycle of links.
 const MAX_DEPTH: usize = 16;
+
+/// A kind of photos that are not read.
+struct Unread {
+    extensions: &'static [&'static str],
+    what: &'static str,
+    /// What to do, with `{from}` and `{to}` for names of files.
+    remedy: &'static str,
+    /// Extension of the converted file.
+    to: &'static str,
+}
 
 /// One image of a source.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -451,7 +517,8 @@ impl Listing {
         if depth > 0 {
             self.generated.extend(manifest_files(folder));
         }
-        let mut heif = Vec::new();
+        // Names by the index of their kind.
+        let mut unread: BTreeMap<usize, Vec<OsString>> = BTreeMap::new();
         for entry in fs::read_dir(folder).map_err(Error::io(folder))? {
             let path = entry.map_err(Error::io(folder))?.path();
             let Some(part) =
@@ -480,8 +547,10 @@ impl Listing {
                         }
                     }
                 }
-            } else if has_extension(&path, &HEIF_EXTENSIONS) {
-                heif.push(part.to_owned());
+            } else if let Some(kind) =
+                UNREAD.iter().position(|kind| has_extension(&path, kind.extensions))
+            {
+                unread.entry(kind).or_default().push(part.to_owned());
             } else if !is_named_like_image(&path) || self.generated.contains(&path) {
                 continue;
             } else if let Some(kind) = metadata.as_ref().and_then(irregular_kind) {
@@ -502,26 +571,43 @@ impl Listing {
                 }
             }
         }
-        // HEIF photos with a converted image beside them are ignored.
-        heif.retain(|part: &OsString| {
+        for (kind, parts) in unread {
+            self.skip_unread(folder, within, &UNREAD[kind], parts);
+        }
+        Ok(())
+    }
+
+    /// Names the files of a folder that are of a kind that is not read, in one sentence. Those with
+    /// a converted image beside them are ignored.
+    fn skip_unread(
+        &mut self,
+        folder: &Path,
+        within: &str,
+        kind: &Unread,
+        mut parts: Vec<OsString>,
+    ) {
+        parts.retain(|part| {
             let beside = |ending: &str| folder.join(part).with_extension(ending).is_file();
             !IMAGE_EXTENSIONS.iter().any(|ending| beside(ending) || beside(&ending.to_uppercase()))
         });
-        if let Some(first) = heif.iter().min() {
-            let others = match heif.len() - 1 {
-                0 => String::new(),
-                1 => ", as is 1 other file beside it".to_owned(),
-                more => format!(", as are {more} other files beside it"),
-            };
-            let (from, to) =
-                (escaped(Path::new(first)), escaped(&Path::new(first).with_extension("jpg")));
-            let what = format!(
-                "is a HEIC photo{others}, and these are not read: convert them to JPEG, as with \
-                `heif-convert {from} {to}`"
-            );
-            self.skip(&folder.join(first), within, &what);
+        parts.sort();
+        let Some((first, others)) = parts.split_first() else { return };
+        let shown = |part: &OsString| escaped(Path::new(part));
+        let mut named: Vec<String> = others.iter().take(MAX_UNREAD_NAMES).map(shown).collect();
+        match others.len() - named.len() {
+            0 => {}
+            1 => named.push("1 other beside it".to_owned()),
+            more => named.push(format!("{more} others beside it")),
         }
-        Ok(())
+        let others = match named.split_last() {
+            None => String::new(),
+            Some((only, [])) => format!(", as is {only}"),
+            Some((last, before)) => format!(", as are {} and {last}", before.join(", ")),
+        };
+        let to = escaped(&Path::new(first).with_extension(kind.to));
+        let remedy = kind.remedy.replace("{from}", &shown(first)).replace("{to}", &to);
+        let what = format!("is {}{others}, and these are not read: {remedy}", kind.what);
+        self.skip(&folder.join(first), within, &what);
     }
 
     fn skip(&mut self, path: &Path, within: &str, what: &str) {
@@ -560,6 +646,12 @@ fn is_named_like_image(path: &Path) -> bool {
 /// Whether a file is an image, by its extension.
 pub fn is_image(path: &Path) -> bool {
     has_extension(path, &IMAGE_EXTENSIONS)
+}
+
+/// Whether a file is a photo or another image of a format that is not read, by its extension.
+pub fn is_unread_image(path: &Path) -> bool {
+    UNREAD.iter().any(|kind| has_extension(path, kind.extensions))
+        && !has_extension(path, &VIDEO_EXTENSIONS)
 }
 
 /// Whether the extension of a file is one of these, in any case.

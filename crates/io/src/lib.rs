@@ -50,7 +50,9 @@ pub use error::{Error, Result};
 pub use exif::{Device, Exif, is_plausible_focal};
 pub use fused_ply::FusedPly;
 pub use fused_visibility::FusedVisibility;
-pub use images::{ImageFolder, ImageInfo, ImageSource, SkippedFile, SourceImage, is_image};
+pub use images::{
+    ImageFolder, ImageInfo, ImageSource, SkippedFile, SourceImage, is_image, is_unread_image,
+};
 pub use manifest::{MANIFEST, Manifest, is_inside};
 pub use pixels::{ABSOLUTE_MAX_PIXELS, DEFAULT_MAX_PIXELS, Luma, Rgb};
 pub use regular_file::require_regular_file;

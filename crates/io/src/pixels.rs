@@ -172,15 +172,19 @@ impl Rgb {
         Ok(Self { width: image.width(), height: image.height(), data: image.into_raw() })
     }
 
-    /// Writes an image file: JPEG (quality 95), PNG or TIFF, by the extension. The folder must
-    /// exist.
+    /// Writes an image file by the extension: JPEG (quality 95), PNG, TIFF, WebP (lossless), BMP or
+    /// PNM. The folder must exist.
     ///
     /// # Errors
     ///
     /// If the extension is unknown, and if the file cannot be encoded or written.
     pub fn write(&self, path: &Path) -> Result<()> {
-        let format = ImageFormat::from_path(path)
-            .map_err(|cause| Error::content(path, cause.to_string()))?;
+        let format = match path.extension() {
+            // The crate knows all other names of JPEG.
+            Some(ending) if ending.eq_ignore_ascii_case("jpe") => ImageFormat::Jpeg,
+            _ => ImageFormat::from_path(path)
+                .map_err(|cause| Error::content(path, cause.to_string()))?,
+        };
         let mut bytes = Cursor::new(Vec::new());
         let color = ExtendedColorType::Rgb8;
         let (data, width, height) = (&self.data, self.width, self.height);
@@ -382,7 +386,7 @@ fn png_bytes(path: &Path, width: u32, height: u32) -> Result<u64> {
 }
 
 fn not_an_image(path: &Path) -> Error {
-    Error::content(path, "is no JPEG, PNG or TIFF image")
+    Error::content(path, "is no JPEG, PNG, TIFF, WebP, BMP or PNM image")
 }
 
 fn decode(path: &Path, planes: Planes, limit: &SizeLimit, turn: Turn) -> Result<DynamicImage> {

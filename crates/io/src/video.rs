@@ -16,15 +16,13 @@ use std::thread::JoinHandle;
 
 use crate::exif::seconds_of_date;
 pub use crate::gopro::is_stabilised;
-use crate::images::has_extension;
+use crate::images::{VIDEO_EXTENSIONS, has_extension};
 use crate::pixels::{DEFAULT_MAX_PIXELS, SizeLimit};
 use crate::regular_file::require_regular_file;
 use crate::tone_map::ToneMap;
 pub use crate::tone_map::Transfer;
 use crate::{Error, Result, Rgb};
 
-/// File name extensions of videos, in any case.
-const VIDEO_EXTENSIONS: [&str; 8] = ["mp4", "mov", "m4v", "mkv", "avi", "mts", "m2ts", "webm"];
 /// Lines of the log of ffmpeg that an error quotes.
 const QUOTED_LINES: usize = 3;
 /// Filters of ffmpeg: scale non-square pixels up to square ones, then print the time stamps.

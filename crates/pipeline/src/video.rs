@@ -13,11 +13,10 @@ use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
-use tiepoint_io::is_image;
-use tiepoint_io::timestamps;
 use tiepoint_io::video::{
     Recording, Reduction, Transfer, VideoReader, is_stabilised, is_video, read_sound, recordings,
 };
+use tiepoint_io::{is_image, is_unread_image, timestamps};
 
 use crate::fingerprint::of_files;
 use crate::output_folder::OutputFolder;
@@ -149,7 +148,7 @@ fn open_frames(folder: &Path) -> Result<(OutputFolder, Option<Record>), Error> {
     Ok((frames, Some(record)))
 }
 
-/// The video files among the inputs and in input folders without images; empty for photos.
+/// The video files among the inputs and in input folders without images of any format; empty for photos.
 ///
 /// # Errors
 ///
@@ -163,7 +162,8 @@ fn videos(inputs: &[PathBuf]) -> Result<Vec<PathBuf>, Error> {
                 entries.map_err(|cause| Error::Unreadable { path: input.clone(), cause })?;
             let mut here: Vec<PathBuf> = entries.into_iter().map(|entry| entry.path()).collect();
             here.sort();
-            if !here.iter().any(|path| is_image(path)) {
+            // Photos that are not read are named beside the photos, not passed over for videos.
+            if !here.iter().any(|path| is_image(path) || is_unread_image(path)) {
                 files.extend(here.into_iter().filter(|path| path.is_file() && is_video(path)));
             }
         } else if is_video(input) {
@@ -353,6 +353,12 @@ mod tests {
             fs::write(path(name), "").unwrap();
         }
         assert_eq!(videos(&[path("photos")]).unwrap(), Vec::<PathBuf>::new());
+        // A telephone's photos with a short video each.
+        fs::create_dir(path("live")).unwrap();
+        for name in ["live/1.HEIC", "live/1.MOV"] {
+            fs::write(path(name), "").unwrap();
+        }
+        assert_eq!(videos(&[path("live")]).unwrap(), Vec::<PathBuf>::new());
         assert!(matches!(videos(&[path("photos"), path("left")]), Err(Error::MixedInput { .. })));
         let files = videos(&[path("left"), path("right/GX010042.MP4")]).unwrap();
         assert_eq!(files.len(), 3);

@@ -216,6 +216,10 @@ fn formats_agree_on_pixels() {
         ("rgb.tif", &colours, ImageFormat::Tiff),
         ("rgb16.tiff", &rgb16, ImageFormat::Tiff),
         ("rgb.jpg", &colours, ImageFormat::Jpeg),
+        ("rgb.JFIF", &colours, ImageFormat::Jpeg),
+        ("rgb.webp", &colours, ImageFormat::WebP),
+        ("rgb.BMP", &colours, ImageFormat::Bmp),
+        ("rgb.ppm", &colours, ImageFormat::Pnm),
         // The content decides the format, not the extension.
         ("png_named.jpg", &colours, ImageFormat::Png),
     ] {
@@ -246,6 +250,8 @@ fn formats_agree_on_pixels() {
         ("grey.png", &grey, ImageFormat::Png),
         ("grey_alpha.png", &grey_with_alpha, ImageFormat::Png),
         ("grey.jpg", &grey, ImageFormat::Jpeg),
+        ("grey.pgm", &grey, ImageFormat::Pnm),
+        ("grey16.pgm", &grey16, ImageFormat::Pnm),
     ] {
         let dir = folder(&[(name, encoded(image, format))]);
         let luma = open(dir.path()).unwrap().luma(0).unwrap();
@@ -254,6 +260,51 @@ fn formats_agree_on_pixels() {
         }
         assert_eq!(open(dir.path()).unwrap().rgb(0).unwrap().data.len(), 3 * 24 * 16);
     }
+}
+
+#[test]
+fn every_format_that_is_read_is_written() {
+    let dir = tempfile::tempdir().unwrap();
+    let rgb = Rgb { width: 24, height: 16, data: gradient().into_raw() };
+    for name in ["a.jpg", "a.jpe", "a.jfif", "a.png", "a.tif", "a.webp", "a.bmp", "a.ppm", "a.pgm"]
+    {
+        rgb.write(&dir.path().join(name)).unwrap();
+        let found = Rgb::read(&dir.path().join(name)).unwrap();
+        assert_eq!((found.width, found.height), (24, 16), "{name}");
+    }
+}
+
+#[test]
+fn photos_that_are_not_read_are_named_with_what_to_do() {
+    let png = encoded(&gradient().into(), ImageFormat::Png);
+    let mut files: Vec<(String, Vec<u8>)> = vec![("0.png".to_owned(), png)];
+    // With a converted photo beside it: a pair of a camera.
+    files.push(("0.CR2".to_owned(), Vec::new()));
+    for ending in ["avif", "JP2", "jxl", "DNG", "gif", "heic", "MOV"] {
+        files.push((format!("1.{ending}"), Vec::new()));
+    }
+    files.extend((1..=12).map(|index| (format!("{index:02}.nef"), Vec::new())));
+    let files: Vec<(&str, Vec<u8>)> =
+        files.iter().map(|(name, bytes)| (name.as_str(), bytes.clone())).collect();
+    let dir = folder(&files);
+    let source = open(dir.path()).unwrap();
+    assert_eq!(names(&source), [("0.png", 0)]);
+    let why: Vec<&str> = source.skipped().iter().map(|file| file.why.as_str()).collect();
+    for expected in [
+        "1.avif: is an AVIF photo, and these are not read: convert them, as with `avifdec 1.avif \
+         1.png`",
+        "1.JP2: is a JPEG 2000 photo, and these are not read: convert them, as with \
+         `opj_decompress -i 1.JP2 -o 1.png`",
+        "`djxl 1.jxl 1.png`",
+        "01.nef: is a camera's raw file, as are 02.nef, 03.nef, 04.nef, 05.nef, 06.nef, 07.nef, \
+         08.nef, 09.nef and 4 others beside it, and these are not read: develop them",
+        "`magick 1.gif 1.png`",
+        "`heif-convert 1.heic 1.jpg`",
+        "1.MOV: is a video beside photos",
+    ] {
+        assert!(why.iter().any(|why| why.contains(expected)), "{expected}: {why:#?}");
+    }
+    assert_eq!(why.len(), 7, "{why:#?}");
 }
 
 #[test]
@@ -434,7 +485,7 @@ fn errors_name_damaged_images() {
     .concat();
     for (name, bytes, expected) in [
         ("empty.jpg", vec![], "is empty"),
-        ("text.jpg", b"this is no image".to_vec(), "is no JPEG, PNG or TIFF image"),
+        ("text.jpg", b"this is no image".to_vec(), "is no JPEG, PNG, TIFF, WebP, BMP or PNM image"),
         ("cut.jpg", jpeg[..jpeg.len() - 20].to_vec(), "truncated"),
         ("half.jpg", jpeg[..jpeg.len() / 2].to_vec(), "truncated"),
         ("cut.png", png[..png.len() / 2].to_vec(), "cut.png"),
