@@ -323,6 +323,44 @@ fn jpeg_files_of_other_programs_are_decoded() {
 }
 
 /// The grey image and the features of a file.
+/// Writes a file and reads it as an image.
+fn read_bytes(bytes: &[u8]) -> Result<Rgb, tiepoint_io::Error> {
+    let dir = folder(&[("a.jpg", bytes.to_vec())]);
+    open(dir.path()).unwrap().rgb(0)
+}
+
+#[test]
+fn a_complete_jpeg_file_needs_no_end_marker() {
+    const END: [u8; 2] = [0xFF, 0xD9];
+    // Detail everywhere, so that every block has codes.
+    let value = |x: u32, y: u32| (x * 97 + y * 61 + x * y * 13) as u8;
+    let image = RgbImage::from_fn(40, 24, |x, y| Pixel([value(x, y), value(y, x), 90]));
+    let colour = encoded(&image.clone().into(), ImageFormat::Jpeg);
+    let grey = encoded(&DynamicImage::from(image).to_luma8().into(), ImageFormat::Jpeg);
+    let progressive = include_bytes!("../data/gradient_progressive.jpg").to_vec();
+    for (kind, bytes) in [("colour", colour), ("grey", grey), ("progressive", progressive)] {
+        assert_eq!(bytes[bytes.len() - 2..], END, "{kind}");
+        let whole = read_bytes(&bytes).unwrap();
+        let without = &bytes[..bytes.len() - 2];
+        let half_a_marker = [without, &[0xFF]].concat();
+        let unwritten = |fill: u8| [without, &[fill; 700]].concat();
+        for complete in [without, &half_a_marker, &unwritten(0x00), &unwritten(0xFF)] {
+            assert_eq!(read_bytes(complete).unwrap(), whole, "{kind}");
+        }
+        // Cut anywhere in the scans, by a few bytes and by many, also with the rest unwritten.
+        let begin = bytes.windows(2).position(|two| two == [0xFF, 0xDA]).unwrap() + 20;
+        let cuts = (begin..without.len() - 4).step_by(7).chain([without.len() - 4]);
+        for cut in cuts {
+            for rest in [vec![], vec![0; 900]] {
+                let truncated = [&bytes[..cut], &rest].concat();
+                let found = read_bytes(&truncated).map(|image| image.width);
+                let error = found.unwrap_err().to_string();
+                assert!(error.contains("the JPEG data is truncated"), "{kind} {cut}: {error}");
+            }
+        }
+    }
+}
+
 fn extracted(bytes: Vec<u8>) -> (Luma, Features) {
     let dir = folder(&[("a", bytes)]);
     let luma = Luma::read(&dir.path().join("a")).unwrap();
