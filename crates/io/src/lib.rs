@@ -56,5 +56,6 @@ pub use images::{
 pub use manifest::{MANIFEST, Manifest, is_inside};
 pub use pixels::{ABSOLUTE_MAX_PIXELS, DEFAULT_MAX_PIXELS, Luma, Rgb};
 pub use regular_file::require_regular_file;
+pub use text::read_text;
 pub use tiepoint_features as features;
 pub use tiepoint_scene as scene;

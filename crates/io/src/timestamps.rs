@@ -21,9 +21,7 @@ pub fn read(path: &Path) -> Result<BTreeMap<String, f64>> {
     require_regular_file(path)?;
     let mut lines = Lines::open(path)?;
     let mut times = BTreeMap::new();
-    // Spreadsheets write a byte order mark.
-    let header =
-        lines.next_raw()?.map(|mut words| words.rest().trim_start_matches('\u{feff}').to_owned());
+    let header = lines.next_raw()?.map(|mut words| words.rest().to_owned());
     if header.as_deref() != Some(HEADER) {
         return Err(lines.error(format!("must be `{HEADER}`")));
     }

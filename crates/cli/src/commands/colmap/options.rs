@@ -1,8 +1,7 @@
 //! COLMAP's options: what a verb accepts, and the values that were given.
 
 use std::collections::BTreeMap;
-use std::fs;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use super::spec::{Effect, Kind, Spec};
@@ -118,8 +117,7 @@ impl Options {
     /// The names in the file of an option, one on a line.
     pub(super) fn lines(&self, name: &str) -> Result<Option<Vec<String>>, String> {
         let Some(path) = self.path(name) else { return Ok(None) };
-        let text = fs::read_to_string(&path)
-            .map_err(|cause| format!("cannot read {}: {cause}", path.display()))?;
+        let text = text_of(&path, "list")?;
         let names = text.lines().map(str::trim).filter(|line| !line.is_empty());
         Ok(Some(names.filter(|line| !line.starts_with('#')).map(str::to_owned).collect()))
     }
@@ -189,9 +187,18 @@ fn pairs(words: &[String]) -> Result<Vec<(String, String)>, String> {
     Ok(pairs)
 }
 
+/// Longest list of names or project file, in bytes: a million names of 256 characters.
+const MAX_TEXT_BYTES: u64 = 256 << 20;
+
+/// The text of a file that an option names.
+fn text_of(path: &Path, what: &str) -> Result<String, String> {
+    tiepoint_pipeline::io::read_text(path, MAX_TEXT_BYTES, what)
+        .map_err(|error| format!("cannot read {error}"))
+}
+
 /// The options of a project file: `name=value` in sections `[Section]`.
 fn read_project(path: &str) -> Result<Vec<(String, String)>, String> {
-    let text = fs::read_to_string(path).map_err(|cause| format!("cannot read {path}: {cause}"))?;
+    let text = text_of(Path::new(path), "project file")?;
     let mut section = String::new();
     let mut options = Vec::new();
     for line in text.lines().map(str::trim) {
