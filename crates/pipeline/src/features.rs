@@ -135,7 +135,9 @@ pub fn extract_features(
         watch,
         &Event::StageBegan { stage: STAGE, total: usable.len(), done: usable.len() - tasks.len() },
     )?;
-    for what in &photos.notes {
+    let mut notes = photos.notes.clone();
+    notes.extend(photos.folder.notes_on_bits());
+    for what in &notes {
         emit(watch, &Event::Noted { what })?;
     }
     for SkippedImage { image, why } in &skipped {
@@ -198,7 +200,7 @@ pub fn extract_features(
         images: found.len(),
         keypoints: found.iter().sum(),
         skipped,
-        notes: photos.notes.clone(),
+        notes,
         cameras: cameras
             .map(|(index, camera)| CameraReport::new(CameraId::from_index(index), camera, None))
             .collect(),

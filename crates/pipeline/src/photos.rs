@@ -47,10 +47,10 @@ impl Photos {
             path.canonicalize().map_err(|cause| Error::Unreadable { path: path.clone(), cause })
         };
         let photos = Self {
+            notes: folder.notes().to_vec(),
             folder,
             inputs: inputs.iter().map(absolute).collect::<Result<_, _>>()?,
             masks: masks.map(Path::to_owned),
-            notes: Vec::new(),
         };
         let found = photos.folder.images().len();
         if found < 2 {

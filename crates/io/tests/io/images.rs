@@ -559,6 +559,172 @@ fn masks_are_found_by_name_and_have_the_size_of_the_image() {
     assert!(error.contains("holds no mask: for l/1.png, `l/1.png.png` was looked for"), "{error}");
 }
 
+/// Whether exactly the left half of an image of 24 × 16 pixels is masked.
+fn left_half(mask: &Luma) -> bool {
+    let is_seen = |index: usize| index % 24 >= 12;
+    mask.data.iter().enumerate().all(|(index, value)| (*value > 0) == is_seen(index))
+}
+
+#[test]
+fn masks_of_any_kind_mask_the_same() {
+    let is_seen = |x: u32| x >= 12;
+    let of = |seen: [u8; 4], hidden: [u8; 4]| {
+        image::RgbaImage::from_fn(24, 16, |x, _| {
+            image::Rgba(if is_seen(x) { seen } else { hidden })
+        })
+    };
+    let grey = |seen: u8| {
+        DynamicImage::from(GrayImage::from_fn(24, 16, |x, _| Grey([seen * u8::from(is_seen(x))])))
+    };
+    let deep = |seen: u16| {
+        DynamicImage::from(image::ImageBuffer::<Grey<u16>, _>::from_fn(24, 16, |x, _| {
+            Grey([seen * u16::from(is_seen(x))])
+        }))
+    };
+    let white = [255; 4];
+    let photo = encoded(&gradient().into(), ImageFormat::Png);
+    for (kind, mask) in [
+        ("8 bits", grey(255)),
+        ("0 and 1", grey(1)),
+        ("16 bits", deep(u16::MAX)),
+        ("0 and 1 of 16 bits", deep(1)),
+        ("colours", DynamicImage::from(of([0, 0, 1, 255], [0, 0, 0, 255])).to_rgb8().into()),
+        ("colours and alpha", of(white, [0, 0, 0, 255]).into()),
+        ("cut-out of white", of(white, [255, 255, 255, 0]).into()),
+        ("cut-out of a photo", of([90, 80, 70, 255], [10, 20, 30, 0]).into()),
+        ("cut-out of black", of([0, 0, 0, 255], [0; 4]).into()),
+        ("soft cut-out", of([0, 0, 0, 200], [0, 0, 0, 40]).into()),
+        (
+            "cut-out of 16 bits",
+            DynamicImage::from(of(white, [255, 255, 255, 0])).to_rgba16().into(),
+        ),
+    ] {
+        let images = folder(&[("1.png", photo.clone())]);
+        let masks = folder(&[("1.png", encoded(&mask, ImageFormat::Png))]);
+        let source = ImageFolder::open(&[images.path().to_owned()], Some(masks.path())).unwrap();
+        assert!(left_half(&source.mask(0).unwrap().unwrap()), "{kind}");
+        // A photo that is cut out itself, under a mask of nothing.
+        if mask.color().has_alpha() && kind != "colours and alpha" {
+            let images = folder(&[("1.png", encoded(&mask, ImageFormat::Png))]);
+            let alone = open(images.path()).unwrap();
+            assert!(left_half(&alone.mask(0).unwrap().unwrap()), "{kind}");
+            let all = folder(&[(
+                "1.png",
+                encoded(
+                    &DynamicImage::from(GrayImage::from_pixel(24, 16, Grey([255]))),
+                    ImageFormat::Png,
+                ),
+            )]);
+            let both = ImageFolder::open(&[images.path().to_owned()], Some(all.path())).unwrap();
+            assert!(left_half(&both.mask(0).unwrap().unwrap()), "{kind}");
+        }
+    }
+    // An opaque photo has no mask.
+    let opaque = DynamicImage::from(gradient()).to_rgba8();
+    let images = folder(&[("1.png", encoded(&opaque.into(), ImageFormat::Png))]);
+    assert_eq!(open(images.path()).unwrap().mask(0).unwrap(), None);
+}
+
+#[test]
+fn masks_for_some_photos_are_noted() {
+    let png = encoded(&gradient().into(), ImageFormat::Png);
+    let photos: Vec<String> = (10..24).map(|index| format!("{index}.png")).collect();
+    let files: Vec<(&str, Vec<u8>)> =
+        photos.iter().map(|name| (name.as_str(), png.clone())).collect();
+    let images = folder(&files);
+    let of = |count: usize| -> Vec<String> {
+        let masks = folder(&files[..count]);
+        let source = ImageFolder::open(&[images.path().to_owned()], Some(masks.path())).unwrap();
+        source.notes().to_vec()
+    };
+    assert_eq!(of(14), Vec::<String>::new());
+    assert_eq!(of(12), ["2 of 14 photos have no mask and are used whole: 22.png, 23.png"]);
+    let many = &of(2)[0];
+    assert!(many.starts_with("12 of 14 photos") && many.ends_with("19.png and 4 more"), "{many}");
+}
+
+#[test]
+fn masks_stored_like_turned_photos_are_turned_like_them() {
+    let jpeg = encoded(&gradient().into(), ImageFormat::Jpeg);
+    let photo =
+        |orientation: u16| with_exif(&jpeg, &[(Tag::Orientation, Value::Short(vec![orientation]))]);
+    // Only the corner of the first stored pixels is seen.
+    let corner = DynamicImage::from(GrayImage::from_fn(24, 16, |x, y| {
+        Grey([if x < 4 && y < 4 { 255 } else { 0 }])
+    }));
+    let stored = encoded(&corner, ImageFormat::Png);
+    let turned = |orientation: u8| {
+        let mut image = corner.clone();
+        image.apply_orientation(image::metadata::Orientation::from_exif(orientation).unwrap());
+        encoded(&image, ImageFormat::Png)
+    };
+    // Whether the corner is where the photo shows its first stored pixels.
+    let fits = |source: &ImageFolder, index: usize, orientation: u8| {
+        let expected = image::load_from_memory(&turned(orientation)).unwrap().to_luma8();
+        source.mask(index).unwrap().unwrap().data == expected.into_raw()
+    };
+    let source_of = |orientations: &[u16], masks: &[Vec<u8>]| {
+        let names: Vec<String> = orientations.iter().map(|o| format!("{o}.jpg")).collect();
+        let files: Vec<(&str, Vec<u8>)> =
+            names.iter().map(String::as_str).zip(orientations.iter().map(|&o| photo(o))).collect();
+        let of_masks: Vec<(&str, Vec<u8>)> =
+            names.iter().map(String::as_str).zip(masks.iter().cloned()).collect();
+        let (images, masks) = (folder(&files), folder(&of_masks));
+        let source = ImageFolder::open(&[images.path().to_owned()], Some(masks.path())).unwrap();
+        (source, images, masks)
+    };
+    // Stored like the photos: sizes tell it for 6 and 8, and then it holds for 3.
+    let (source, _images, _masks) =
+        source_of(&[1, 3, 6, 8], &[stored.clone(), stored.clone(), stored.clone(), stored.clone()]);
+    for (index, orientation) in [(0, 1), (1, 3), (2, 6), (3, 8)] {
+        source.check_mask(index).unwrap();
+        assert!(fits(&source, index, orientation), "{orientation}");
+    }
+    assert!(source.notes()[0].starts_with("2 masks are stored like"), "{:?}", source.notes());
+    // Upright.
+    let (source, _images, _masks) = source_of(&[3, 6], &[turned(3), turned(6)]);
+    assert!(fits(&source, 0, 3) && fits(&source, 1, 6) && source.notes().is_empty());
+    // Nothing tells.
+    let (source, _images, _masks) = source_of(&[1, 3], &[stored.clone(), turned(3)]);
+    assert!(fits(&source, 1, 3));
+    assert!(source.notes()[0].contains("taken as upright: 3.jpg"), "{:?}", source.notes());
+}
+
+#[test]
+fn values_of_few_bits_in_files_of_16_are_scaled_alike_for_a_camera() {
+    type Deep = image::ImageBuffer<Grey<u16>, Vec<u16>>;
+    // Values up to 1020 of 1023, and darker ones.
+    let deep = |factor: u16| Deep::from_fn(24, 16, |x, y| Grey([factor * (4 * x + y) as u16]));
+    let png = |factor: u16| encoded(&deep(factor).into(), ImageFormat::Png);
+    let tiff = |factor: u16| encoded(&deep(factor).into(), ImageFormat::Tiff);
+    let dir = folder(&[
+        ("ten/1.png", png(1)),
+        ("ten/2.png", png(9)),
+        ("ten/3.tif", tiff(3)),
+        ("all/1.png", png(600)),
+        ("all/2.png", png(9)),
+        ("eight/1.png", encoded(&gradient().into(), ImageFormat::Png)),
+    ]);
+    let source = open(dir.path()).unwrap();
+    let brightest = |name: &str| {
+        let index = source.images().iter().position(|image| image.name == name).unwrap();
+        let (luma, rgb) = (source.luma(index).unwrap(), source.rgb(index).unwrap());
+        assert_eq!(luma.data.iter().max(), rgb.data.iter().max(), "{name}");
+        *luma.data.iter().max().unwrap()
+    };
+    let most = 4.0 * 23.0 + 15.0;
+    let expected = |factor: f64, range: f64| (255.0 * factor * most / range).round() as u8;
+    assert_eq!(brightest("ten/1.png"), expected(1.0, 1023.0));
+    assert_eq!(brightest("ten/2.png"), expected(9.0, 1023.0));
+    assert_eq!(brightest("ten/3.tif"), expected(3.0, 1023.0));
+    assert_eq!(brightest("all/1.png"), expected(600.0, 65_535.0));
+    assert_eq!(brightest("all/2.png"), expected(9.0, 65_535.0));
+    assert_eq!(
+        source.notes_on_bits(),
+        ["ten: its files of 16 bits a channel use 10, and are scaled from these to 8"]
+    );
+}
+
 #[test]
 fn timestamps_are_read_as_written() {
     let dir = tempfile::tempdir().unwrap();
