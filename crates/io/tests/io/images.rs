@@ -748,6 +748,11 @@ fn timestamps_are_read_as_written() {
         ("image,seconds\n\na,x\n", "line 3: the time of a is not a number of seconds"),
         ("image,seconds\na,NaN\n", "line 2: the time of a is not"),
         ("image,seconds\na,1\na,2\n", "line 3: the image a is listed twice"),
+        ("image,seconds\na,1\nb,1712345678901\n", "line 3: the time of b is 1712345678901 s"),
+        ("image,seconds\na,1712345678901\n", "seconds are expected, not milliseconds"),
+        ("image,seconds\na,-1.7e15\n", "seconds are expected, not microseconds"),
+        ("image,seconds\na,1712345678901234567\n", "seconds are expected, not nanoseconds"),
+        ("image,seconds\na,1e300\n", "the time of a is 1e300 s"),
     ] {
         fs::write(&path, content).unwrap();
         let error = timestamps::read(&path).unwrap_err().to_string();
