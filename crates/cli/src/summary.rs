@@ -73,6 +73,9 @@ pub(crate) fn report(workspace: &Path, report: &Report) -> String {
                 line(format_args!("          {failure}"));
             }
         }
+        for note in &map.notes {
+            line(format_args!("          {note}"));
+        }
         let shutters = report.models.first().into_iter().flat_map(|model| &model.cameras);
         for (camera, readout_s) in
             shutters.filter_map(|camera| Some((camera.id, camera.readout_s?)))

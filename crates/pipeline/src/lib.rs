@@ -46,6 +46,7 @@ mod report;
 mod rig_calibration;
 mod rig_evaluation;
 mod rig_file;
+mod rig_hints;
 mod rig_report;
 mod rigid;
 mod rolling_shutter;

@@ -92,6 +92,9 @@ pub struct MatchReport {
 pub struct MapReport {
     /// Wall time.
     pub seconds: f64,
+    /// What was noted about the photos, a sentence each.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub notes: Vec<String>,
 }
 
 /// Summary of dense reconstruction.
