@@ -1,4 +1,4 @@
-//! JPEG, PNG and TIFF with their EXIF data, as photos and as masks.
+//! JPEG, PNG, TIFF, WebP, BMP and PNM with their EXIF data, as photos and as masks.
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;

@@ -14,8 +14,7 @@ use tiepoint_pipeline::sfm::geometry::{CameraModelKind, Intrinsics};
 use tiepoint_pipeline::sfm::matching::PairSelection;
 use tiepoint_pipeline::sfm::{Readout, RigTerm};
 use tiepoint_pipeline::{
-    Calibration, CalibrationSource, CameraGrouping, DEFAULT_EVERY, ExportFormat, Stage, Truth,
-    UndistortOptions,
+    Calibration, CalibrationSource, CameraGrouping, ExportFormat, Stage, Truth, UndistortOptions,
 };
 use tiepoint_synth::{Effects, Mounting, RouteKind};
 
@@ -252,10 +251,11 @@ pub(crate) struct Input {
     /// Folder for intermediate files and results: a COLMAP project.
     #[arg(short, long = "output", value_name = "WORKSPACE")]
     pub(crate) output: PathBuf,
-    /// Takes the sharpest of every N frames of a video. Frames without image motion, as at a stop,
-    /// are left out.
-    #[arg(long, value_name = "N", default_value_t = DEFAULT_EVERY)]
-    pub(crate) every: NonZeroUsize,
+    /// Takes the sharpest of every N frames of a video; 1 takes all. By default the sharpest of each
+    /// tenth of a second, and more where the image moves fast. Videos of one drive give frames of
+    /// the same times. Frames without image motion, as at a stop, are left out.
+    #[arg(long, value_name = "N")]
+    pub(crate) every: Option<NonZeroUsize>,
     /// Capture times of the photos: CSV with the header `image,seconds`. By default the times in
     /// the file names or in EXIF.
     #[arg(long, value_name = "FILE.csv")]

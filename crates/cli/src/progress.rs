@@ -80,6 +80,7 @@ impl Progress {
                 self.show(&format!("{image}: {read} frames read"));
                 self.bar.tick();
             }
+            Event::Noted { what } => self.print_line(what),
             Event::ImageSkipped { why, .. } => {
                 self.print_line(&format!("skipped {why}"));
                 self.bar.inc(1);

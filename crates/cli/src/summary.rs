@@ -36,6 +36,9 @@ pub(crate) fn report(workspace: &Path, report: &Report) -> String {
         line(format_args!(
             "features  {images} images{cameras}, {keypoints} keypoints{skipped}  ({seconds:.1} s)"
         ));
+        for note in &features.notes {
+            line(format_args!("          {note}"));
+        }
     }
     if let Some(matches) = &report.stages.matches {
         let (pairs, verified, inliers) =
@@ -69,6 +72,9 @@ pub(crate) fn report(workspace: &Path, report: &Report) -> String {
             for failure in &model.failed {
                 line(format_args!("          {failure}"));
             }
+        }
+        for note in &map.notes {
+            line(format_args!("          {note}"));
         }
         let shutters = report.models.first().into_iter().flat_map(|model| &model.cameras);
         for (camera, readout_s) in

@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::ffi::{OsStr, OsString};
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::sync::{Arc, OnceLock};
 
 use tiepoint_scene::CameraId;
 
@@ -14,11 +15,77 @@ use crate::regular_file::{escaped, irregular_kind, require_regular_file};
 use crate::{DEFAULT_MAX_PIXELS, Error, Luma, Result, Rgb};
 
 /// File name extensions of images, in any case.
-const IMAGE_EXTENSIONS: [&str; 5] = ["jpg", "jpeg", "png", "tif", "tiff"];
-/// File name extensions of HEIF photos, which no mature library in Rust decodes.
-const HEIF_EXTENSIONS: [&str; 3] = ["heic", "heif", "hif"];
+const IMAGE_EXTENSIONS: [&str; 11] =
+    ["jpg", "jpeg", "jpe", "jfif", "png", "tif", "tiff", "webp", "bmp", "ppm", "pgm"];
+/// File name extensions of videos, in any case.
+pub(crate) const VIDEO_EXTENSIONS: [&str; 8] =
+    ["mp4", "mov", "m4v", "mkv", "avi", "mts", "m2ts", "webm"];
+/// Photos that are not read, because no kept library in Rust decodes them (HEIC, AVIF), or none with
+/// a licence like ours (camera raw), or because none encodes them, and an undistorted photo has the
+/// format of its photo (JPEG 2000, JPEG XL). They are named.
+const UNREAD: [Unread; 7] = [
+    Unread {
+        extensions: &["heic", "heif", "hif"],
+        what: "a HEIC photo",
+        remedy: "convert them to JPEG, as with `heif-convert {from} {to}`",
+        to: "jpg",
+    },
+    Unread {
+        extensions: &["avif", "avifs"],
+        what: "an AVIF photo",
+        remedy: "convert them, as with `avifdec {from} {to}`",
+        to: "png",
+    },
+    Unread {
+        extensions: &["jp2", "j2k", "j2c", "jpc", "jpf", "jpx", "jpm"],
+        what: "a JPEG 2000 photo",
+        remedy: "convert them, as with `opj_decompress -i {from} -o {to}`",
+        to: "png",
+    },
+    Unread {
+        extensions: &["jxl"],
+        what: "a JPEG XL photo",
+        remedy: "convert them, as with `djxl {from} {to}`",
+        to: "png",
+    },
+    Unread {
+        extensions: &[
+            "dng", "cr2", "cr3", "crw", "nef", "nrw", "arw", "srf", "sr2", "raf", "rw2", "rwl",
+            "orf", "pef", "srw", "x3f", "3fr", "fff", "iiq", "erf", "mef", "mos", "mrw", "dcr",
+            "kdc", "gpr", "raw",
+        ],
+        what: "a camera's raw file",
+        remedy: "develop them to JPEG or TIFF, as with `darktable-cli {from} {to}`",
+        to: "jpg",
+    },
+    Unread {
+        extensions: &["gif", "tga", "exr", "hdr", "psd", "dds", "qoi", "mpo"],
+        what: "an image of another format",
+        remedy: "convert them, as with `magick {from} {to}`",
+        to: "png",
+    },
+    Unread {
+        extensions: &VIDEO_EXTENSIONS,
+        what: "a video beside photos",
+        remedy: "give videos in a run of their own, or their frames as photos, as with `ffmpeg -i \
+                 {from} {to}`",
+        to: "%06d.jpg",
+    },
+];
+/// More names of files that are not read are counted, not listed.
+const MAX_UNREAD_NAMES: usize = 8;
 /// Deepest folder below an input; deeper ones mean a cycle of links.
 const MAX_DEPTH: usize = 16;
+
+/// A kind of photos that are not read.
+struct Unread {
+    extensions: &'static [&'static str],
+    what: &'static str,
+    /// What to do, with `{from}` and `{to}` for names of files.
+    remedy: &'static str,
+    /// Extension of the converted file.
+    to: &'static str,
+}
 
 /// One image of a source.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -53,6 +120,16 @@ pub struct SkippedFile {
     pub why: String,
 }
 
+/// How the mask of a photo that EXIF turns or mirrors is stored.
+enum MaskOrientation {
+    /// As the photo is stored, to be turned by this orientation.
+    Stored(u8),
+    /// As the photo is seen.
+    Upright,
+    /// The sizes do not tell. The orientation of the photo.
+    Undecided(u8),
+}
+
 /// The images of one or more folders.
 #[derive(Clone, Debug)]
 pub struct ImageFolder {
@@ -61,9 +138,18 @@ pub struct ImageFolder {
     cameras: Vec<String>,
     masks: Vec<Option<PathBuf>>,
     skipped: Vec<SkippedFile>,
+    notes: Vec<String>,
     max_pixels: u64,
     turn: Turn,
+    /// Whether masks are stored in the orientation of the stored photo, where sizes do not tell.
+    are_masks_stored: bool,
+    /// Bits of the values of each camera's images of 16 bits a channel, once one is read. One number
+    /// for all, so that the brightness of a camera stays the same.
+    bits: Arc<[OnceLock<u32>]>,
 }
+
+/// More names in a note are counted, not listed.
+const MAX_NOTED_NAMES: usize = 8;
 
 impl ImageFolder {
     /// Lists the images of `inputs`. A folder of images is one camera; a folder with one sub-folder
@@ -134,8 +220,11 @@ impl ImageFolder {
             cameras: vec![],
             masks: vec![],
             skipped,
+            notes: vec![],
             max_pixels: DEFAULT_MAX_PIXELS,
             turn: Turn::Upright,
+            are_masks_stored: false,
+            bits: Arc::new([]),
         };
         for (name, (path, camera)) in found {
             let known = this.cameras.iter().position(|known| *known == camera);
@@ -147,6 +236,7 @@ impl ImageFolder {
             this.paths.push(path);
             this.images.push(SourceImage { name, camera });
         }
+        this.bits = this.cameras.iter().map(|_| OnceLock::new()).collect();
         this.skipped.sort();
         this.skipped.dedup();
         match masks {
@@ -158,7 +248,74 @@ impl ImageFolder {
                 );
                 Err(Error::content(masks, what))
             }
-            _ => Ok(this),
+            Some(_) => {
+                this.note_masks();
+                Ok(this)
+            }
+            None => Ok(this),
+        }
+    }
+
+    /// Decides how masks are stored, and notes what is unusual about them.
+    fn note_masks(&mut self) {
+        let without = self.images.iter().zip(&self.masks).filter(|(_, mask)| mask.is_none());
+        let without: Vec<&str> = without.map(|(image, _)| image.name.as_str()).collect();
+        if !without.is_empty() {
+            let (count, all) = (without.len(), self.images.len());
+            let names = first_names(&without);
+            let note = format!("{count} of {all} photos have no mask and are used whole: {names}");
+            self.notes.push(note);
+        }
+        // Photos that EXIF turns or mirrors whose masks sizes do not tell.
+        let mut undecided: Vec<&str> = Vec::new();
+        let (mut stored, mut upright) = (0, 0);
+        for (index, image) in self.images.iter().enumerate() {
+            match self.mask_orientation(index) {
+                Some(MaskOrientation::Stored(_)) => stored += 1,
+                Some(MaskOrientation::Upright) => upright += 1,
+                Some(MaskOrientation::Undecided(_)) => undecided.push(&image.name),
+                None => {}
+            }
+        }
+        // One program wrote the masks.
+        self.are_masks_stored = stored > 0 && upright == 0;
+        let note = if stored > 0 {
+            format!(
+                "{stored} masks are stored like their photos, without the turn that EXIF asks for, \
+                and are turned like them"
+            )
+        } else if upright == 0 && !undecided.is_empty() {
+            let names = first_names(&undecided);
+            format!(
+                "EXIF turns or mirrors photos whose masks have the same size both ways; the masks \
+                are taken as upright: {names}"
+            )
+        } else {
+            return;
+        };
+        self.notes.push(note);
+    }
+
+    /// How the mask of a photo that EXIF turns or mirrors is stored; `None` without one, and if a
+    /// file cannot be read.
+    fn mask_orientation(&self, index: usize) -> Option<MaskOrientation> {
+        let (path, mask) = (&self.paths[index], self.masks[index].as_ref()?);
+        let ((width, height), orientation) = pixels::stored(path).ok()?;
+        if self.turn == Turn::AsStored || orientation == 1 {
+            return None;
+        }
+        let (of_mask, own) = pixels::stored(mask).ok()?;
+        if own != 1 {
+            return None;
+        }
+        let is_told = orientation >= 5 && width != height;
+        match of_mask {
+            size if is_told && size == (width, height) => {
+                Some(MaskOrientation::Stored(orientation))
+            }
+            size if is_told && size == (height, width) => Some(MaskOrientation::Upright),
+            size if size == (width, height) => Some(MaskOrientation::Undecided(orientation)),
+            _ => None,
         }
     }
 
@@ -245,7 +402,50 @@ impl ImageFolder {
     ///
     /// If the file cannot be read, is not an image, or has another size.
     pub fn rgb_of_size(&self, index: usize, width: u32, height: u32) -> Result<Rgb> {
-        Rgb::read_turned(&self.paths[index], &SizeLimit::of_photo(width, height), self.turn)
+        let limit = SizeLimit::of_photo(width, height);
+        Rgb::read_ranged(&self.paths[index], &limit, self.turn, || self.bits(index))
+    }
+
+    /// Bits that the images of 16 bits a channel of the camera of this image use, all of them. The
+    /// first call decodes them, until one uses all 16.
+    fn bits(&self, index: usize) -> u32 {
+        let camera = self.images[index].camera;
+        let of_camera = || {
+            let paths = self.images.iter().zip(&self.paths);
+            let paths = paths.filter(|(image, _)| image.camera == camera).map(|(_, path)| path);
+            let mut most = None;
+            for path in paths.filter(|path| pixels::is_deep(path)) {
+                // Those that cannot be read are skipped.
+                let bits = pixels::bits_of(path, &SizeLimit::Pixels(self.max_pixels)).ok();
+                most = most.max(bits);
+                if most == Some(pixels::ALL_BITS) {
+                    break;
+                }
+            }
+            most.unwrap_or(pixels::ALL_BITS)
+        };
+        *self.bits[camera.index()].get_or_init(of_camera)
+    }
+
+    /// Notes the cameras whose images of 16 bits a channel use fewer, a sentence each: their values
+    /// are scaled. Decodes all such images of a camera.
+    pub fn notes_on_bits(&self) -> Vec<String> {
+        let mut notes = Vec::new();
+        for (camera, name) in self.cameras.iter().enumerate() {
+            let mut of_camera =
+                self.images.iter().zip(&self.paths).enumerate().filter(|(_, (image, path))| {
+                    image.camera.index() == camera && pixels::is_deep(path)
+                });
+            let bits = of_camera.next().map(|(index, _)| self.bits(index));
+            if let Some(bits) = bits.filter(|bits| *bits < pixels::ALL_BITS) {
+                let name = escaped(Path::new(name));
+                notes.push(format!(
+                    "{name}: its files of 16 bits a channel use {bits}, and are scaled from these \
+                    to 8"
+                ));
+            }
+        }
+        notes
     }
 
     /// Sets the limit of pixels: larger images are refused when they are read
@@ -258,6 +458,11 @@ impl ImageFolder {
     /// The files that cannot be used, in byte order of their names.
     pub fn skipped(&self) -> &[SkippedFile] {
         &self.skipped
+    }
+
+    /// What is unusual about the masks, a sentence each.
+    pub fn notes(&self) -> &[String] {
+        &self.notes
     }
 
     /// The file of an image.
@@ -298,7 +503,8 @@ impl ImageFolder {
     ///
     /// If the file cannot be decoded, or is larger than permitted.
     pub fn luma(&self, index: usize) -> Result<Luma> {
-        Luma::read_turned(&self.paths[index], &SizeLimit::Pixels(self.max_pixels), self.turn)
+        let limit = SizeLimit::Pixels(self.max_pixels);
+        Luma::read_ranged(&self.paths[index], &limit, self.turn, || self.bits(index))
     }
 
     /// The colour image, upright.
@@ -307,17 +513,30 @@ impl ImageFolder {
     ///
     /// If the file cannot be decoded, or is larger than permitted.
     pub fn rgb(&self, index: usize) -> Result<Rgb> {
-        Rgb::read_turned(&self.paths[index], &SizeLimit::Pixels(self.max_pixels), self.turn)
+        let limit = SizeLimit::Pixels(self.max_pixels);
+        Rgb::read_ranged(&self.paths[index], &limit, self.turn, || self.bits(index))
     }
 
-    /// The mask of an image, of equal size: no features are detected where it is 0. `None` without
-    /// a mask.
+    /// The mask of an image, of equal size: no features are detected where it is 0. It is 0, too,
+    /// where the image is transparent. `None` without a mask.
     ///
     /// # Errors
     ///
     /// If the mask cannot be decoded, or does not have the size of the image.
     pub fn mask(&self, index: usize) -> Result<Option<Luma>> {
-        self.with_mask(index, |path, limit| Luma::read_turned(path, limit, self.turn))
+        let limit = SizeLimit::Pixels(self.max_pixels);
+        let seen = Luma::read_transparency(&self.paths[index], &limit, self.turn)?;
+        let mask = self.with_mask(index, |path, limit, orientation| {
+            Luma::read_mask(path, limit, self.turn, orientation)
+        })?;
+        Ok(match (mask, seen) {
+            (Some(mut mask), Some(seen)) => {
+                let both = mask.data.iter_mut().zip(seen.data);
+                both.for_each(|(value, seen)| *value = (*value).min(seen));
+                Some(mask)
+            }
+            (mask, seen) => mask.or(seen),
+        })
     }
 
     /// Checks, by its header alone, that the mask of an image, if there is one, has its size.
@@ -326,19 +545,35 @@ impl ImageFolder {
     ///
     /// If a file cannot be read or is not an image, or if the sizes differ.
     pub fn check_mask(&self, index: usize) -> Result<()> {
-        self.with_mask(index, |path, limit| pixels::header_turned(path, limit, self.turn)).map(drop)
+        self.with_mask(index, |path, limit, orientation| {
+            let ((width, height), own) = pixels::stored(path)?;
+            let orientation = match self.turn {
+                Turn::Upright if own != 1 => own,
+                Turn::Upright => orientation,
+                Turn::AsStored => 1,
+            };
+            pixels::turned_size(path, orientation, (width, height), limit)
+        })
+        .map(drop)
     }
 
-    /// Reads something of the mask of an image, and requires its size.
+    /// Reads something of the mask of an image, and requires its size. The orientation is that by
+    /// which a mask without EXIF data is turned.
     fn with_mask<T>(
         &self,
         index: usize,
-        read: impl FnOnce(&Path, &SizeLimit) -> Result<T>,
+        read: impl FnOnce(&Path, &SizeLimit, u8) -> Result<T>,
     ) -> Result<Option<T>> {
         let Some(path) = &self.masks[index] else { return Ok(None) };
+        let orientation = match self.mask_orientation(index) {
+            Some(MaskOrientation::Stored(orientation)) => orientation,
+            Some(MaskOrientation::Undecided(orientation)) if self.are_masks_stored => orientation,
+            _ => 1,
+        };
         let (_, width, height) = self.header(&self.paths[index])?;
         let of = format!("its image {}", self.images[index].name);
-        read(path, &SizeLimit::Size { width, height, what: "the mask", of: &of }).map(Some)
+        let limit = SizeLimit::Size { width, height, what: pixels::MASK, of: &of };
+        read(path, &limit, orientation).map(Some)
     }
 
     /// EXIF data, width and height of an image.
@@ -437,7 +672,8 @@ impl Listing {
         if depth > 0 {
             self.generated.extend(manifest_files(folder));
         }
-        let mut heif = Vec::new();
+        // Names by the index of their kind.
+        let mut unread: BTreeMap<usize, Vec<OsString>> = BTreeMap::new();
         for entry in fs::read_dir(folder).map_err(Error::io(folder))? {
             let path = entry.map_err(Error::io(folder))?.path();
             let Some(part) =
@@ -466,8 +702,10 @@ impl Listing {
                         }
                     }
                 }
-            } else if has_extension(&path, &HEIF_EXTENSIONS) {
-                heif.push(part.to_owned());
+            } else if let Some(kind) =
+                UNREAD.iter().position(|kind| has_extension(&path, kind.extensions))
+            {
+                unread.entry(kind).or_default().push(part.to_owned());
             } else if !is_named_like_image(&path) || self.generated.contains(&path) {
                 continue;
             } else if let Some(kind) = metadata.as_ref().and_then(irregular_kind) {
@@ -488,26 +726,43 @@ impl Listing {
                 }
             }
         }
-        // HEIF photos with a converted image beside them are ignored.
-        heif.retain(|part: &OsString| {
+        for (kind, parts) in unread {
+            self.skip_unread(folder, within, &UNREAD[kind], parts);
+        }
+        Ok(())
+    }
+
+    /// Names the files of a folder that are of a kind that is not read, in one sentence. Those with
+    /// a converted image beside them are ignored.
+    fn skip_unread(
+        &mut self,
+        folder: &Path,
+        within: &str,
+        kind: &Unread,
+        mut parts: Vec<OsString>,
+    ) {
+        parts.retain(|part| {
             let beside = |ending: &str| folder.join(part).with_extension(ending).is_file();
             !IMAGE_EXTENSIONS.iter().any(|ending| beside(ending) || beside(&ending.to_uppercase()))
         });
-        if let Some(first) = heif.iter().min() {
-            let others = match heif.len() - 1 {
-                0 => String::new(),
-                1 => ", as is 1 other file beside it".to_owned(),
-                more => format!(", as are {more} other files beside it"),
-            };
-            let (from, to) =
-                (escaped(Path::new(first)), escaped(&Path::new(first).with_extension("jpg")));
-            let what = format!(
-                "is a HEIC photo{others}, and these are not read: convert them to JPEG, as with \
-                `heif-convert {from} {to}`"
-            );
-            self.skip(&folder.join(first), within, &what);
+        parts.sort();
+        let Some((first, others)) = parts.split_first() else { return };
+        let shown = |part: &OsString| escaped(Path::new(part));
+        let mut named: Vec<String> = others.iter().take(MAX_UNREAD_NAMES).map(shown).collect();
+        match others.len() - named.len() {
+            0 => {}
+            1 => named.push("1 other beside it".to_owned()),
+            more => named.push(format!("{more} others beside it")),
         }
-        Ok(())
+        let others = match named.split_last() {
+            None => String::new(),
+            Some((only, [])) => format!(", as is {only}"),
+            Some((last, before)) => format!(", as are {} and {last}", before.join(", ")),
+        };
+        let to = escaped(&Path::new(first).with_extension(kind.to));
+        let remedy = kind.remedy.replace("{from}", &shown(first)).replace("{to}", &to);
+        let what = format!("is {}{others}, and these are not read: {remedy}", kind.what);
+        self.skip(&folder.join(first), within, &what);
     }
 
     fn skip(&mut self, path: &Path, within: &str, what: &str) {
@@ -538,6 +793,16 @@ impl Listing {
     }
 }
 
+/// The first of some names, and the number of the others.
+fn first_names(names: &[&str]) -> String {
+    let shown: Vec<String> =
+        names.iter().take(MAX_NOTED_NAMES).map(|name| escaped(Path::new(name))).collect();
+    match names.len() - shown.len() {
+        0 => shown.join(", "),
+        more => format!("{} and {more} more", shown.join(", ")),
+    }
+}
+
 /// Whether a file has the name of an image, ignoring white space at its end.
 fn is_named_like_image(path: &Path) -> bool {
     is_image(path) || path.to_str().is_some_and(|path| is_image(Path::new(path.trim_end())))
@@ -546,6 +811,12 @@ fn is_named_like_image(path: &Path) -> bool {
 /// Whether a file is an image, by its extension.
 pub fn is_image(path: &Path) -> bool {
     has_extension(path, &IMAGE_EXTENSIONS)
+}
+
+/// Whether a file is a photo or another image of a format that is not read, by its extension.
+pub fn is_unread_image(path: &Path) -> bool {
+    UNREAD.iter().any(|kind| has_extension(path, kind.extensions))
+        && !has_extension(path, &VIDEO_EXTENSIONS)
 }
 
 /// Whether the extension of a file is one of these, in any case.

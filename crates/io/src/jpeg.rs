@@ -2,6 +2,7 @@
 //! grey files without a conversion to colours; and `image` silently fills the missing part of a
 //! truncated file with grey.
 
+use std::collections::BTreeMap;
 use std::io::{BufRead, Seek, SeekFrom};
 
 use zune_core::bytestream::ZCursor;
@@ -25,15 +26,72 @@ pub(crate) struct Decoded {
 }
 
 /// Decodes an image whose first frame header claims this width and height. In a damaged file the
-/// decoder may find another one.
-pub(crate) fn decode(
+/// decoder may find another one. A file without the end of its image is decoded if it is complete.
+pub(crate) fn decode(bytes: &[u8], planes: Planes, size: (u32, u32)) -> Result<Decoded, String> {
+    if has_end(bytes) {
+        return decode_to_end(bytes, planes, size);
+    }
+    decode_without_end(bytes, planes, size).ok_or_else(|| "the JPEG data is truncated".to_owned())
+}
+
+/// Bytes in place of those that a truncated file lacks: codes of many kinds, without markers.
+const OTHER_ENDS: [u8; 2] = [0x5A, 0xC9];
+/// Number of those: a block of 8 × 8 samples has at most 64 codes of 32 bits.
+const OTHER_END_BYTES: usize = 256;
+
+/// Decodes a file that lacks the end marker. It is complete if all bits of all coefficients are
+/// coded and if the decoder needs nothing of what follows: other bytes there change no pixel.
+fn decode_without_end(bytes: &[u8], planes: Planes, size: (u32, u32)) -> Option<Decoded> {
+    // The rest of a block of a card that was never written. A scan ends with bits 1.
+    let used = bytes.iter().rposition(|byte| !matches!(byte, 0x00 | 0xFF))? + 1;
+    let mut data = bytes[..used].to_vec();
+    if bytes.get(used..used + 2) == Some(&[0xFF, 0x00]) {
+        data.extend([0xFF, 0x00]);
+    }
+    if !codes_all_bits(&data) {
+        return None;
+    }
+    let with = |end: &[u8]| decode_to_end(&[&data, end, &END_OF_IMAGE].concat(), planes, size).ok();
+    let decoded = with(&[])?;
+    let is_same =
+        |end: u8| with(&[end; OTHER_END_BYTES]).is_some_and(|other| other.bytes == decoded.bytes);
+    OTHER_ENDS.into_iter().all(is_same).then_some(decoded)
+}
+
+/// Whether the scans that begin in a file have all bits of all coefficients of all components: a
+/// progressive file has them in several scans (ITU-T T.81, G.1.1.1).
+fn codes_all_bits(bytes: &[u8]) -> bool {
+    let mut reader = std::io::Cursor::new(bytes);
+    let mut components: Vec<u8> = Vec::new();
+    let mut coded: BTreeMap<u8, u64> = BTreeMap::new();
+    while let Some((marker, length)) = next_segment(&mut reader) {
+        let begin = reader.position() as usize;
+        let Some(content) = bytes.get(begin..begin + usize::from(length)) else { break };
+        match (marker, content) {
+            // Precision, height, width, and the components: identifier, sampling, table.
+            (0xC0..=0xC2, [_, _, _, _, _, _, of_components @ ..]) => {
+                components = of_components.chunks_exact(3).map(|component| component[0]).collect();
+            }
+            // The components: identifier, tables. First and last coefficient, bits before and after.
+            (START_OF_SCAN, [_, of_components @ .., first, last, bits]) if bits & 15 == 0 => {
+                let coefficients = (*first..=(*last).min(63)).fold(0, |all, k| all | 1_u64 << k);
+                for component in of_components.chunks_exact(2) {
+                    *coded.entry(component[0]).or_default() |= coefficients;
+                }
+            }
+            _ => {}
+        }
+        reader.set_position((begin + content.len()) as u64);
+    }
+    !components.is_empty() && components.iter().all(|id| coded.get(id) == Some(&u64::MAX))
+}
+
+/// Decodes a file that has the end of its image.
+fn decode_to_end(
     bytes: &[u8],
     planes: Planes,
     (width, height): (u32, u32),
 ) -> Result<Decoded, String> {
-    if !is_complete(bytes) {
-        return Err("the JPEG data is truncated".to_owned());
-    }
     // The sides of a JPEG image fit 16 bits. Not strict: cameras pad their headers.
     let side = usize::from(u16::MAX);
     let options =
@@ -65,7 +123,7 @@ const START_OF_SCAN: u8 = 0xDA;
 /// Whether the file contains the end of its image. Within a scan a byte FF is followed by 00 or a
 /// marker, so that the first FF D9 after the beginning of the first scan is the end. The end marker
 /// of a thumbnail comes earlier.
-fn is_complete(bytes: &[u8]) -> bool {
+fn has_end(bytes: &[u8]) -> bool {
     let mut reader = std::io::Cursor::new(bytes);
     while let Some((marker, _)) = next_segment(&mut reader) {
         if marker == START_OF_SCAN {

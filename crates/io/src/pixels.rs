@@ -7,7 +7,7 @@ use std::path::Path;
 use image::codecs::jpeg::JpegEncoder;
 use image::imageops::FilterType;
 use image::metadata::Orientation;
-use image::{DynamicImage, ExtendedColorType, ImageFormat, ImageReader};
+use image::{ColorType, DynamicImage, ExtendedColorType, ImageDecoder, ImageFormat, ImageReader};
 
 use crate::exif::Exif;
 use crate::jpeg::{self, Planes};
@@ -58,7 +58,9 @@ impl Luma {
     /// Reads an image file, rotated as its EXIF orientation asks for. Grey is the luma of ITU-R
     /// BT.709, as in COLMAP. Decoding only the luma plane of JPEG (BT.601) would be 16 ms faster
     /// for 6 megapixels, but yields fewer keypoints (on sceaux 116,214 instead of 119,074). 16 bits
-    /// are reduced to 8; transparency is ignored.
+    /// are reduced to 8, as if all were used (an [`ImageFolder`](crate::ImageFolder) knows better);
+    /// transparency is ignored ([`ImageFolder::mask`](crate::ImageFolder::mask)
+    /// has it).
     ///
     /// # Errors
     ///
@@ -72,7 +74,18 @@ impl Luma {
     }
 
     pub(crate) fn read_turned(path: &Path, limit: &SizeLimit, turn: Turn) -> Result<Self> {
-        let (width, height, data) = match decode(path, Planes::Luma, limit, turn)? {
+        Self::read_ranged(path, limit, turn, || ALL_BITS)
+    }
+
+    /// Reads an image whose values have so many bits, if it has 16 bits a channel.
+    pub(crate) fn read_ranged(
+        path: &Path,
+        limit: &SizeLimit,
+        turn: Turn,
+        bits: impl FnOnce() -> u32,
+    ) -> Result<Self> {
+        let image = decode(path, Planes::Luma, limit, turn)?;
+        let (width, height, data) = match ranged(image, bits) {
             DynamicImage::ImageLuma8(image) => (image.width(), image.height(), image.into_raw()),
             other => {
                 let luma = other.to_rgb8().as_raw().as_chunks().0.iter().map(luma).collect();
@@ -80,6 +93,54 @@ impl Luma {
             }
         };
         Ok(Self { width, height, data })
+    }
+
+    /// Reads a mask: 0 where nothing is to be seen. A pixel that is not black stays above 0, however
+    /// dark it is, as in files of 0 and 1 with 16 bits. If a part is transparent, as in a cut-out,
+    /// that part is 0; its opaque part is not 0 where it is not black, or everywhere if all of it is
+    /// black. `orientation` is that of EXIF by which a mask that has none is turned.
+    pub(crate) fn read_mask(
+        path: &Path,
+        limit: &SizeLimit,
+        turn: Turn,
+        orientation: u8,
+    ) -> Result<Self> {
+        let image = decode_as(path, Planes::Luma, limit, turn, orientation)?;
+        let (width, height) = (image.width(), image.height());
+        if let DynamicImage::ImageLuma8(image) = image {
+            return Ok(Self { width, height, data: image.into_raw() });
+        }
+        let opaque = opaque(&image);
+        let data = match image.as_rgb8() {
+            Some(image) => image.as_raw().as_chunks().0.iter().map(seen).collect::<Vec<u8>>(),
+            // 16 bits become 8 without making a 1 to 0.
+            None => image.to_rgb16().as_raw().as_chunks().0.iter().map(seen_of_16).collect(),
+        };
+        let Some(opaque) = opaque else { return Ok(Self { width, height, data }) };
+        let is_all_black = data.iter().zip(&opaque).all(|(value, opaque)| !opaque || *value == 0);
+        let of = |(value, opaque): (&u8, &bool)| match (opaque, is_all_black) {
+            (false, _) => 0,
+            (true, true) => u8::MAX,
+            (true, false) => *value,
+        };
+        Ok(Self { width, height, data: data.iter().zip(&opaque).map(of).collect() })
+    }
+
+    /// The transparent part of a photo as a mask, 0 where it is transparent; `None` without one.
+    pub(crate) fn read_transparency(
+        path: &Path,
+        limit: &SizeLimit,
+        turn: Turn,
+    ) -> Result<Option<Self>> {
+        if !has_alpha(path)? {
+            return Ok(None);
+        }
+        let image = decode(path, Planes::Rgb, limit, turn)?;
+        Ok(opaque(&image).map(|opaque| Self {
+            width: image.width(),
+            height: image.height(),
+            data: opaque.into_iter().map(|opaque| if opaque { u8::MAX } else { 0 }).collect(),
+        }))
     }
 
     /// The image in another size, by the mean of the pixels that a new one covers; a smaller size
@@ -168,19 +229,33 @@ impl Rgb {
     }
 
     pub(crate) fn read_turned(path: &Path, limit: &SizeLimit, turn: Turn) -> Result<Self> {
-        let image = decode(path, Planes::Rgb, limit, turn)?.into_rgb8();
+        Self::read_ranged(path, limit, turn, || ALL_BITS)
+    }
+
+    /// As [`Luma::read_ranged`].
+    pub(crate) fn read_ranged(
+        path: &Path,
+        limit: &SizeLimit,
+        turn: Turn,
+        bits: impl FnOnce() -> u32,
+    ) -> Result<Self> {
+        let image = ranged(decode(path, Planes::Rgb, limit, turn)?, bits).into_rgb8();
         Ok(Self { width: image.width(), height: image.height(), data: image.into_raw() })
     }
 
-    /// Writes an image file: JPEG (quality 95), PNG or TIFF, by the extension. The folder must
-    /// exist.
+    /// Writes an image file by the extension: JPEG (quality 95), PNG, TIFF, WebP (lossless), BMP or
+    /// PNM. The folder must exist.
     ///
     /// # Errors
     ///
     /// If the extension is unknown, and if the file cannot be encoded or written.
     pub fn write(&self, path: &Path) -> Result<()> {
-        let format = ImageFormat::from_path(path)
-            .map_err(|cause| Error::content(path, cause.to_string()))?;
+        let format = match path.extension() {
+            // The crate knows all other names of JPEG.
+            Some(ending) if ending.eq_ignore_ascii_case("jpe") => ImageFormat::Jpeg,
+            _ => ImageFormat::from_path(path)
+                .map_err(|cause| Error::content(path, cause.to_string()))?,
+        };
         let mut bytes = Cursor::new(Vec::new());
         let color = ExtendedColorType::Rgb8;
         let (data, width, height) = (&self.data, self.width, self.height);
@@ -228,6 +303,95 @@ fn luma([r, g, b]: &[u8; 3]) -> u8 {
         as u8
 }
 
+/// As [`luma`], but 0 for black only.
+fn seen(pixel: &[u8; 3]) -> u8 {
+    luma(pixel).max(u8::from(*pixel != [0; 3]))
+}
+
+/// As [`seen`], of 16 bits.
+fn seen_of_16(pixel: &[u16; 3]) -> u8 {
+    luma(&pixel.map(|value| (value >> 8) as u8)).max(u8::from(*pixel != [0; 3]))
+}
+
+/// Which pixels are opaque by at least a half; `None` if none or all are.
+fn opaque(image: &DynamicImage) -> Option<Vec<bool>> {
+    if !image.color().has_alpha() {
+        return None;
+    }
+    let opaque: Vec<bool> = image.to_rgba8().pixels().map(|pixel| pixel.0[3] >= 128).collect();
+    (opaque.contains(&true) && opaque.contains(&false)).then_some(opaque)
+}
+
+/// Whether the header of a file has transparency.
+fn has_alpha(path: &Path) -> Result<bool> {
+    Ok(color_type(path)?.is_some_and(ColorType::has_alpha))
+}
+
+/// The channels and bits of the pixels by the header of a file; `None` for JPEG and what is no
+/// image.
+fn color_type(path: &Path) -> Result<Option<ColorType>> {
+    let file = File::open(path).map_err(Error::io(path))?;
+    let reader =
+        ImageReader::new(BufReader::new(file)).with_guessed_format().map_err(Error::io(path))?;
+    if matches!(reader.format(), None | Some(ImageFormat::Jpeg)) {
+        return Ok(None);
+    }
+    let decoder = reader.into_decoder().map_err(|cause| Error::content(path, cause.to_string()))?;
+    Ok(Some(decoder.color_type()))
+}
+
+/// Bits of a value of 16.
+pub(crate) const ALL_BITS: u32 = 16;
+/// Fewest bits that values of 16 are taken to have.
+const LEAST_BITS: u32 = 8;
+
+/// Whether the header of a file tells of 16 bits a channel.
+pub(crate) fn is_deep(path: &Path) -> bool {
+    use ColorType::{L16, La16, Rgb16, Rgba16};
+    matches!(color_type(path), Ok(Some(L16 | La16 | Rgb16 | Rgba16)))
+}
+
+/// Bits that the values of an image of 16 bits a channel have, as 10 or 12 of machine vision; those
+/// of transparency do not count.
+pub(crate) fn bits_of(path: &Path, limit: &SizeLimit) -> Result<u32> {
+    let image = decode(path, Planes::Luma, limit, Turn::AsStored)?;
+    let most = match &image {
+        DynamicImage::ImageLuma16(image) => image.as_raw().iter().max().copied(),
+        DynamicImage::ImageRgb16(image) => image.as_raw().iter().max().copied(),
+        DynamicImage::ImageLumaA16(image) => image.pixels().map(|pixel| pixel.0[0]).max(),
+        DynamicImage::ImageRgba16(image) => {
+            image.pixels().flat_map(|pixel| [pixel.0[0], pixel.0[1], pixel.0[2]]).max()
+        }
+        _ => None,
+    };
+    Ok(most.map_or(ALL_BITS, |most| (u16::BITS - most.leading_zeros()).max(LEAST_BITS)))
+}
+
+/// Scales values of so many bits to 16, if the image has 16 bits a channel.
+fn ranged(mut image: DynamicImage, bits: impl FnOnce() -> u32) -> DynamicImage {
+    let is_deep = image.color().bytes_per_pixel() == 2 * image.color().channel_count();
+    let bits = if is_deep { bits() } else { ALL_BITS };
+    if bits >= ALL_BITS {
+        return image;
+    }
+    let most = (1_u32 << bits) - 1;
+    let scale = |value: &mut u16| {
+        *value = ((u32::from(*value).min(most) * u32::from(u16::MAX) + most / 2) / most) as u16;
+    };
+    match &mut image {
+        DynamicImage::ImageLuma16(image) => image.iter_mut().for_each(scale),
+        DynamicImage::ImageRgb16(image) => image.iter_mut().for_each(scale),
+        DynamicImage::ImageLumaA16(image) => {
+            image.pixels_mut().for_each(|pixel| pixel.0[..1].iter_mut().for_each(scale));
+        }
+        DynamicImage::ImageRgba16(image) => {
+            image.pixels_mut().for_each(|pixel| pixel.0[..3].iter_mut().for_each(scale));
+        }
+        _ => {}
+    }
+    image
+}
+
 /// How the pixels of a file become an image.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) enum Turn {
@@ -247,6 +411,9 @@ impl Turn {
         }
     }
 }
+
+/// [`SizeLimit::Size::what`] of a mask.
+pub(crate) const MASK: &str = "the mask";
 
 /// The permitted sizes of an upright image.
 pub(crate) enum SizeLimit<'a> {
@@ -268,7 +435,11 @@ impl SizeLimit<'_> {
         match *self {
             _ if pixels == 0 => Err(format!("has {width} × {height} pixels")),
             Self::Size { width: w, height: h, what, of } if (w, h) != (width, height) => {
-                Err(format!("{what} has {width} × {height} pixels, {of} has {w} × {h}"))
+                let remedy = match what {
+                    MASK => ": give it the size of its photo",
+                    _ => "",
+                };
+                Err(format!("{what} has {width} × {height} pixels, {of} has {w} × {h}{remedy}"))
             }
             _ if pixels > ABSOLUTE_MAX_PIXELS => {
                 let most = ABSOLUTE_MAX_PIXELS / MILLION;
@@ -306,8 +477,13 @@ pub(crate) fn header_turned(
     Ok((exif, width, height))
 }
 
+/// Size of an image as it is stored, and the orientation of its EXIF data.
+pub(crate) fn stored(path: &Path) -> Result<((u32, u32), u8)> {
+    Ok((stored_size(path)?, Exif::read(path)?.orientation))
+}
+
 /// Size of an image after the rotation of an EXIF orientation, from the stored size.
-fn turned_size(
+pub(crate) fn turned_size(
     path: &Path,
     orientation: u8,
     stored: (u32, u32),
@@ -382,10 +558,21 @@ fn png_bytes(path: &Path, width: u32, height: u32) -> Result<u64> {
 }
 
 fn not_an_image(path: &Path) -> Error {
-    Error::content(path, "is no JPEG, PNG or TIFF image")
+    Error::content(path, "is no JPEG, PNG, TIFF, WebP, BMP or PNM image")
 }
 
 fn decode(path: &Path, planes: Planes, limit: &SizeLimit, turn: Turn) -> Result<DynamicImage> {
+    decode_as(path, planes, limit, turn, 1)
+}
+
+/// Decodes a file; `orientation` is that of a file whose EXIF data have none.
+fn decode_as(
+    path: &Path,
+    planes: Planes,
+    limit: &SizeLimit,
+    turn: Turn,
+    orientation: u8,
+) -> Result<DynamicImage> {
     // Checks the size in the header before the file is read. The orientation does not change the
     // memory that decoding takes.
     let (width, height) = stored_size(path)?;
@@ -393,7 +580,10 @@ fn decode(path: &Path, planes: Planes, limit: &SizeLimit, turn: Turn) -> Result<
         limit.check(width, height).or_else(|what| limit.check(height, width).map_err(|_| what));
     either.map_err(|what| Error::content(path, what))?;
     let bytes = std::fs::read(path).map_err(Error::io(path))?;
-    let orientation = turn.orientation(&Exif::from_bytes(&bytes));
+    let orientation = match turn.orientation(&Exif::from_bytes(&bytes)) {
+        1 => orientation,
+        own => own,
+    };
     turned_size(path, orientation, (width, height), limit)?;
     let mut image = match image::guess_format(&bytes) {
         Ok(ImageFormat::Jpeg) => {

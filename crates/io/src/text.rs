@@ -10,11 +10,58 @@ use tiepoint_geometry::Rigid3;
 use tiepoint_geometry::nalgebra::Vector3;
 
 use crate::excerpt::Excerpt;
-use crate::{Error, Result, require_regular_file, rotation};
+use crate::regular_file::require_regular_file;
+use crate::{Error, Result, rotation};
 
 /// Longest line that is read, in bytes. A line of COLMAP holds all keypoints of an image: 2²⁰ of
 /// them at 64 characters.
 const MAX_LINE_BYTES: u64 = 1 << 26;
+
+/// A file of text, after the byte order mark that editors and spreadsheets write before UTF-8. All
+/// readers of text open their files here.
+///
+/// # Errors
+///
+/// If the file cannot be read, and if it is UTF-16.
+fn open(path: &Path) -> Result<BufReader<File>> {
+    const MARK: &[u8] = b"\xEF\xBB\xBF";
+    let file = File::open(path).map_err(Error::io(path))?;
+    let mut reader = BufReader::new(file);
+    let begin = reader.fill_buf().map_err(Error::io(path))?;
+    let is_utf_16 = match begin {
+        [0xFF, 0xFE, ..] | [0xFE, 0xFF, ..] => true,
+        // ASCII with a zero beside each character.
+        [a, b, c, d, ..] => matches!(
+            [a == &0, b == &0, c == &0, d == &0],
+            [false, true, false, true] | [true, false, true, false]
+        ),
+        _ => false,
+    };
+    if is_utf_16 {
+        return Err(Error::content(path, "is UTF-16 text, which is not read: save it as UTF-8"));
+    }
+    if begin.starts_with(MARK) {
+        reader.consume(MARK.len());
+    }
+    Ok(reader)
+}
+
+/// Reads a text file of at most `max_bytes`, without a byte order mark. `what` says in the error
+/// what a longer file is not.
+///
+/// # Errors
+///
+/// If the file is no regular one, cannot be read, is longer, or is no UTF-8.
+pub fn read_text(path: &Path, max_bytes: u64, what: &str) -> Result<String> {
+    require_regular_file(path)?;
+    let mut bytes = Vec::new();
+    open(path)?.take(max_bytes + 1).read_to_end(&mut bytes).map_err(Error::io(path))?;
+    if bytes.len() as u64 > max_bytes {
+        let most = max_bytes >> 20;
+        return Err(Error::content(path, format!("has more than {most} MB: it is no {what}")));
+    }
+    String::from_utf8(bytes).map_err(|_| Error::content(path, "is not UTF-8 text"))
+}
 
 /// A file, line by line.
 pub(crate) struct Lines {
@@ -26,14 +73,7 @@ pub(crate) struct Lines {
 
 impl Lines {
     pub(crate) fn open(path: &Path) -> Result<Self> {
-        require_regular_file(path)?;
-        let file = File::open(path).map_err(Error::io(path))?;
-        Ok(Self {
-            inner: BufReader::new(file),
-            path: path.to_owned(),
-            line: 0,
-            buffer: String::new(),
-        })
+        Ok(Self { inner: open(path)?, path: path.to_owned(), line: 0, buffer: String::new() })
     }
 
     pub(crate) fn error(&self, what: impl Into<String>) -> Error {

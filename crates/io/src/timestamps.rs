@@ -11,19 +11,30 @@ use crate::{AtomicFile, Result};
 
 const HEADER: &str = "image,seconds";
 
+/// Seconds since 1970 in the year 5138. Milliseconds since 1970 have exceeded it since 1973.
+const MAX_S: f64 = 1e11;
+
+/// What a number that cannot be seconds since 1970 may be since then.
+fn unit_of(number: f64) -> &'static str {
+    match number.abs() {
+        ..1e14 => "milliseconds",
+        ..1e17 => "microseconds",
+        ..1e20 => "nanoseconds",
+        _ => "such numbers",
+    }
+}
+
 /// Reads the times of images, in seconds on the clocks of their cameras, by name. A name may
 /// contain commas: the last comma of a line separates. White space around the name is trimmed.
 ///
 /// # Errors
 ///
-/// If the file cannot be read, and if a line is not a name and a finite number.
+/// If the file cannot be read, and if a line is not a name and a finite number that can be seconds.
 pub fn read(path: &Path) -> Result<BTreeMap<String, f64>> {
     require_regular_file(path)?;
     let mut lines = Lines::open(path)?;
     let mut times = BTreeMap::new();
-    // Spreadsheets write a byte order mark.
-    let header =
-        lines.next_raw()?.map(|mut words| words.rest().trim_start_matches('\u{feff}').to_owned());
+    let header = lines.next_raw()?.map(|mut words| words.rest().to_owned());
     if header.as_deref() != Some(HEADER) {
         return Err(lines.error(format!("must be `{HEADER}`")));
     }
@@ -40,6 +51,14 @@ pub fn read(path: &Path) -> Result<BTreeMap<String, f64>> {
         let seconds = seconds.ok_or_else(|| {
             line.error(format!("the time of {} is not a number of seconds", Excerpt(name)))
         })?;
+        if seconds.abs() >= MAX_S {
+            let seconds = Number(seconds);
+            return Err(line.error(format!(
+                "the time of {} is {seconds} s, which no clock shows: seconds are expected, not {}",
+                Excerpt(name),
+                unit_of(seconds.0)
+            )));
+        }
         if times.insert(name.trim().to_owned(), seconds).is_some() {
             return Err(line.error(format!("the image {} is listed twice", Excerpt(name))));
         }

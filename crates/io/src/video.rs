@@ -1,9 +1,10 @@
 //! Frames and sound of videos, decoded by the program `ffmpeg`.
 //!
 //! ffmpeg rotates each frame as the metadata say, scales non-square pixels to square ones, and
-//! writes PPM images to a pipe. The filter `showinfo` prints the time stamp of each frame, so that
-//! variable frame rates are respected. The start time of the recording is read from the metadata,
-//! in whole seconds.
+//! writes PPM images to a pipe. Frames of more than eight bits a channel come with 16, and are
+//! reduced here; those of high dynamic range are tone-mapped. The filter `showinfo` prints the time
+//! stamp of each frame, so that variable frame rates are respected. The start time of the recording
+//! is read from the metadata, in whole seconds.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::ffi::OsString;
@@ -15,13 +16,13 @@ use std::thread::JoinHandle;
 
 use crate::exif::seconds_of_date;
 pub use crate::gopro::is_stabilised;
-use crate::images::has_extension;
+use crate::images::{VIDEO_EXTENSIONS, has_extension};
 use crate::pixels::{DEFAULT_MAX_PIXELS, SizeLimit};
 use crate::regular_file::require_regular_file;
+use crate::tone_map::ToneMap;
+pub use crate::tone_map::Transfer;
 use crate::{Error, Result, Rgb};
 
-/// File name extensions of videos, in any case.
-const VIDEO_EXTENSIONS: [&str; 8] = ["mp4", "mov", "m4v", "mkv", "avi", "mts", "m2ts", "webm"];
 /// Lines of the log of ffmpeg that an error quotes.
 const QUOTED_LINES: usize = 3;
 /// Filters of ffmpeg: scale non-square pixels up to square ones, then print the time stamps.
@@ -105,8 +106,22 @@ pub struct VideoFrame {
     pub image: Rgb,
 }
 
+/// How frames became eight bits a channel of standard range.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Reduction {
+    /// They have been that.
+    #[default]
+    None,
+    /// More bits were scaled to eight.
+    Scaled,
+    /// High dynamic range was tone-mapped.
+    ToneMapped(Transfer),
+}
+
 /// An event in the log of ffmpeg.
 enum LogEvent {
+    /// The video has a high dynamic range.
+    HighRange(Transfer),
     /// The recording began at this time, in seconds since 1970.
     Created(f64),
     /// Time stamp of the next frame, in seconds.
@@ -114,7 +129,6 @@ enum LogEvent {
 }
 
 /// Reads the frames of a video file in their order.
-#[derive(Debug)]
 pub struct VideoReader {
     path: PathBuf,
     child: Child,
@@ -123,6 +137,8 @@ pub struct VideoReader {
     /// Reads the log of ffmpeg; returns its last lines.
     log_reader: Option<JoinHandle<VecDeque<String>>>,
     created_s: Option<f64>,
+    reduction: Reduction,
+    tone_map: Option<ToneMap>,
     count: usize,
 }
 
@@ -164,6 +180,8 @@ impl VideoReader {
             events,
             log_reader,
             created_s: None,
+            reduction: Reduction::None,
+            tone_map: None,
             count: 0,
         })
     }
@@ -174,6 +192,11 @@ impl VideoReader {
         self.created_s
     }
 
+    /// How the frames became eight bits a channel. Available after the first frame was read.
+    pub fn reduction(&self) -> Reduction {
+        self.reduction
+    }
+
     /// Reads the next frame; `None` after the last one. A truncated file gives the frames before
     /// the truncation.
     ///
@@ -182,8 +205,8 @@ impl VideoReader {
     /// If the file has no frame that ffmpeg can decode, and if ffmpeg prints no time stamp for a
     /// frame.
     pub fn next_frame(&mut self) -> Result<Option<VideoFrame>> {
-        let image = match read_ppm(&mut self.frames).map_err(Error::io(&self.path))? {
-            Some((width, height, data)) => Rgb { width, height, data },
+        let ppm = match read_ppm(&mut self.frames).map_err(Error::io(&self.path))? {
+            Some(ppm) => ppm,
             None if self.count > 0 => return Ok(None),
             None => return Err(self.no_frames_error()),
         };
@@ -191,7 +214,17 @@ impl VideoReader {
         loop {
             match self.events.recv() {
                 Ok(LogEvent::Created(seconds)) => self.created_s = self.created_s.or(Some(seconds)),
-                Ok(LogEvent::Time(time_s)) => return Ok(Some(VideoFrame { time_s, image })),
+                Ok(LogEvent::HighRange(transfer)) => {
+                    self.tone_map.get_or_insert_with(|| ToneMap::new(transfer));
+                    self.reduction = Reduction::ToneMapped(transfer);
+                }
+                Ok(LogEvent::Time(time_s)) => {
+                    if ppm.is_deep && self.reduction == Reduction::None {
+                        self.reduction = Reduction::Scaled;
+                    }
+                    let image = ppm.into_rgb(self.tone_map.as_ref());
+                    return Ok(Some(VideoFrame { time_s, image }));
+                }
                 Err(_) => {
                     let what = format!("ffmpeg does not tell the time of frame {}", self.count);
                     return Err(Error::content(&self.path, what));
@@ -330,6 +363,9 @@ fn parse_log_line(line: &str) -> Option<LogEvent> {
             .filter(|time_s: &f64| time_s.is_finite())?;
         return line.contains("showinfo").then_some(LogEvent::Time(time_s));
     }
+    if let Some(transfer) = high_range(line) {
+        return Some(LogEvent::HighRange(transfer));
+    }
     let (key, value) = line.split_once(':')?;
     if key.trim() != "creation_time" {
         return None;
@@ -339,9 +375,68 @@ fn parse_log_line(line: &str) -> Option<LogEvent> {
     seconds_of_date(date).filter(|seconds| *seconds > 0.0).map(LogEvent::Created)
 }
 
-/// Reads an image of a stream of PPM images: width, height and bytes. `None` at the end of the
-/// stream, also within an image.
-fn read_ppm(stream: &mut impl BufRead) -> std::io::Result<Option<(u32, u32, Vec<u8>)>> {
+/// The transfer function in the description of a stream, if it is one of high dynamic range:
+/// `Stream #0:0: Video: hevc (Main 10), yuv420p10le(tv, bt2020nc/bt2020/arib-std-b67), 1920x1080`.
+/// ffmpeg describes the stream of its output in the same way, and that has been read from this one.
+fn high_range(line: &str) -> Option<Transfer> {
+    let (_, format) = line.trim_start().strip_prefix("Stream #")?.split_once("Video: ")?;
+    let mut names = format.split(|c: char| !c.is_ascii_alphanumeric() && c != '-');
+    names.find_map(|name| match name {
+        "arib-std-b67" => Some(Transfer::Hlg),
+        "smpte2084" => Some(Transfer::Pq),
+        _ => None,
+    })
+}
+
+/// An image of a stream of PPM images.
+#[derive(Debug, PartialEq, Eq)]
+struct Ppm {
+    width: u32,
+    height: u32,
+    /// Whether a sample has two bytes, the higher one first.
+    is_deep: bool,
+    samples: Vec<u8>,
+}
+
+impl Ppm {
+    /// The image with eight bits a channel.
+    fn into_rgb(self, tone_map: Option<&ToneMap>) -> Rgb {
+        let Self { width, height, is_deep, samples } = self;
+        let data = match (tone_map, is_deep) {
+            (None, false) => samples,
+            (None, true) => deep(&samples).map(eight_bits).collect(),
+            (Some(map), false) => {
+                let pixels = samples.as_chunks().0.iter();
+                pixels.flat_map(|pixel: &[u8; 3]| map.map(pixel.map(sixteen_bits))).collect()
+            }
+            (Some(map), true) => {
+                let pixels = samples.as_chunks::<6>().0.iter();
+                pixels
+                    .flat_map(|&[r1, r0, g1, g0, b1, b0]| {
+                        map.map([[r1, r0], [g1, g0], [b1, b0]].map(u16::from_be_bytes))
+                    })
+                    .collect()
+            }
+        };
+        Rgb { width, height, data }
+    }
+}
+
+fn deep(samples: &[u8]) -> impl Iterator<Item = u16> {
+    samples.as_chunks().0.iter().map(|bytes| u16::from_be_bytes(*bytes))
+}
+
+/// A value of 16 bits as one of eight, rounded.
+fn eight_bits(value: u16) -> u8 {
+    ((u32::from(value) + 128) / 257) as u8
+}
+
+fn sixteen_bits(value: u8) -> u16 {
+    257 * u16::from(value)
+}
+
+/// Reads an image of a stream of PPM images. `None` at the end of the stream, also within an image.
+fn read_ppm(stream: &mut impl BufRead) -> std::io::Result<Option<Ppm>> {
     let invalid =
         || std::io::Error::new(std::io::ErrorKind::InvalidData, "ffmpeg wrote no PPM image");
     let mut words = Vec::new();
@@ -356,16 +451,19 @@ fn read_ppm(stream: &mut impl BufRead) -> std::io::Result<Option<(u32, u32, Vec<
     let (Ok(width), Ok(height)) = (width.parse::<u32>(), height.parse::<u32>()) else {
         return Err(invalid());
     };
-    if kind != "P6" || depth != "255" {
-        return Err(invalid());
-    }
+    let is_deep = match (kind.as_str(), depth.as_str()) {
+        ("P6", "255") => false,
+        ("P6", "65535") => true,
+        _ => return Err(invalid()),
+    };
     // A video with a wrong size makes ffmpeg write images of that size.
     let checked = SizeLimit::Pixels(DEFAULT_MAX_PIXELS).check(width, height);
     checked.map_err(|what| std::io::Error::new(std::io::ErrorKind::InvalidData, what))?;
-    let length = 3 * u64::from(width) * u64::from(height);
-    let mut data = Vec::new();
-    stream.take(length).read_to_end(&mut data)?;
-    Ok((data.len() as u64 == length).then_some((width, height, data)))
+    let length = 3 * u64::from(width) * u64::from(height) * if is_deep { 2 } else { 1 };
+    let mut samples = Vec::new();
+    stream.take(length).read_to_end(&mut samples)?;
+    let is_whole = samples.len() as u64 == length;
+    Ok(is_whole.then_some(Ppm { width, height, is_deep, samples }))
 }
 
 #[cfg(test)]
@@ -430,11 +528,44 @@ mod tests {
 
     #[test]
     fn truncated_ppm_ends_the_stream() {
-        let mut bytes = b"P6\n2 1\n255\nabcdefP6\n1 1\n255\nxyzP6\n9 9\n255\ntoo little".as_slice();
-        assert_eq!(read_ppm(&mut bytes).unwrap(), Some((2, 1, b"abcdef".to_vec())));
-        assert_eq!(read_ppm(&mut bytes).unwrap(), Some((1, 1, b"xyz".to_vec())));
+        let mut bytes =
+            b"P6\n2 1\n255\nabcdefP6\n1 1\n65535\nuvwxyzP6\n9 9\n255\ntoo little".as_slice();
+        let of = |width, is_deep, samples: &[u8]| {
+            Some(Ppm { width, height: 1, is_deep, samples: samples.to_vec() })
+        };
+        assert_eq!(read_ppm(&mut bytes).unwrap(), of(2, false, b"abcdef"));
+        assert_eq!(read_ppm(&mut bytes).unwrap(), of(1, true, b"uvwxyz"));
         assert_eq!(read_ppm(&mut bytes).unwrap(), None);
-        assert!(read_ppm(&mut b"P5\n1 1\n255\nx".as_slice()).is_err());
-        assert!(read_ppm(&mut b"P6\n-1 1\n255\nx".as_slice()).is_err());
+        for other in ["P5\n1 1\n255\nx", "P6\n-1 1\n255\nx", "P6\n1 1\n1023\nxxxxxx"] {
+            assert!(read_ppm(&mut other.as_bytes()).is_err(), "{other}");
+        }
+    }
+
+    #[test]
+    fn sixteen_bits_become_eight() {
+        let deep = |samples: [u16; 3]| Ppm {
+            width: 1,
+            height: 1,
+            is_deep: true,
+            samples: samples.iter().flat_map(|sample| sample.to_be_bytes()).collect(),
+        };
+        assert_eq!(deep([0, 65_535, 257 * 100 + 128]).into_rgb(None).data, [0, 255, 100]);
+        // The white of a page in HLG, with 16 bits and with eight.
+        let map = ToneMap::new(Transfer::Hlg);
+        let shallow = Ppm { width: 1, height: 1, is_deep: false, samples: vec![191; 3] };
+        let (deep, shallow) =
+            (deep([49_151; 3]).into_rgb(Some(&map)), shallow.into_rgb(Some(&map)));
+        assert!(deep.data[0].abs_diff(shallow.data[0]) <= 1, "{deep:?} {shallow:?}");
+        assert!((225..235).contains(&deep.data[0]), "{deep:?}");
+    }
+
+    #[test]
+    fn streams_of_high_range_are_recognised() {
+        let stream = |what: &str| format!("  Stream #0:0[0x1](und): Video: hevc (Main 10), {what}");
+        let of = |what: &str| high_range(&stream(what));
+        assert_eq!(of("yuv420p10le(tv, bt2020nc/bt2020/arib-std-b67), 8x8"), Some(Transfer::Hlg));
+        assert_eq!(of("yuv420p10le(tv, bt2020nc/bt2020/smpte2084), 8x8"), Some(Transfer::Pq));
+        assert_eq!(of("yuv420p10le(tv, bt709), 8x8"), None);
+        assert_eq!(high_range("    title  : Stream #0:0: Video: smpte2084"), None);
     }
 }

@@ -44,6 +44,11 @@ pub enum Event<'a> {
         /// Number of frames of this recording that were read so far.
         read: usize,
     },
+    /// Something about the input that decides what the result is worth.
+    Noted {
+        /// A sentence: what, where, what to do.
+        what: &'a str,
+    },
     /// A photo cannot be used and is skipped.
     ImageSkipped {
         /// Its name.

@@ -5,7 +5,6 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
-use rayon::prelude::*;
 use serde::Serialize;
 use tiepoint_dense::undistort::{UndistortOptions, Undistortion, undistort_model};
 use tiepoint_io::bal::Bal;
@@ -15,6 +14,7 @@ use tiepoint_io::nerfstudio::{self, Motion};
 use tiepoint_io::trajectory::{self, TimedPose};
 use tiepoint_io::{AtomicFile, Exif, Rgb, gltf, gsplat, openmvs, ply, timestamps};
 use tiepoint_sfm::geometry::Rigid3;
+use tiepoint_sfm::natural_order;
 use tiepoint_sfm::scene::{Image, ImageId, Reconstruction};
 
 use crate::colors::decoder_bytes;
@@ -469,7 +469,8 @@ fn with_photos(
     Ok(photos.len() - copied.len())
 }
 
-/// Registered images of the first camera and their poses (`cam_from_world`), ordered by name.
+/// Registered images of the first camera and their poses (`cam_from_world`), ordered by name,
+/// numbers by value.
 fn trajectory_of(model: &Reconstruction) -> Vec<(&Image, Rigid3)> {
     let prefix = first_folder(model);
     let mut images: Vec<(&Image, Rigid3)> = model
@@ -477,6 +478,6 @@ fn trajectory_of(model: &Reconstruction) -> Vec<(&Image, Rigid3)> {
         .filter(|(_, image, _)| image.name.starts_with(&prefix))
         .map(|(_, image, pose)| (image, *pose))
         .collect();
-    images.sort_by(|a, b| a.0.name.cmp(&b.0.name));
+    images.sort_by(|a, b| natural_order(&a.0.name, &b.0.name));
     images
 }

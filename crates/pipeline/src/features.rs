@@ -1,5 +1,6 @@
 //! Stage 1: extracts keypoints and descriptors of every image into the database.
 
+use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::Read;
 use std::path::{Path, PathBuf};
@@ -8,6 +9,7 @@ use std::time::Instant;
 use tiepoint_io::database::{Database, read_stage_rows};
 use tiepoint_io::features::{self as sift, Features};
 use tiepoint_io::{DEFAULT_MAX_PIXELS, ImageInfo, timestamps};
+use tiepoint_sfm::geometry::numeric::median;
 use tiepoint_sfm::scene::{Camera, CameraId, Image, ImageId};
 
 use crate::calibration::{CalibrationSource, Calibrations};
@@ -134,6 +136,11 @@ pub fn extract_features(
         watch,
         &Event::StageBegan { stage: STAGE, total: usable.len(), done: usable.len() - tasks.len() },
     )?;
+    let mut notes = photos.notes.clone();
+    notes.extend(photos.folder.notes_on_bits());
+    for what in &notes {
+        emit(watch, &Event::Noted { what })?;
+    }
     for SkippedImage { image, why } in &skipped {
         emit(watch, &Event::ImageSkipped { image, why })?;
     }
@@ -195,6 +202,7 @@ pub fn extract_features(
         images: found.len(),
         keypoints: found.iter().sum(),
         skipped,
+        notes,
         cameras: cameras
             .map(|(index, camera)| CameraReport::new(CameraId::from_index(index), camera, None))
             .collect(),
@@ -232,7 +240,47 @@ fn times<'a>(
         );
         return Err(Error::Times { path: path.clone(), what });
     }
+    if let Some(what) = implausible(photos, usable, &given) {
+        return Err(Error::Times { path: path.clone(), what });
+    }
     Ok(times)
+}
+
+/// Longest usual interval between photos of a camera, in seconds: four months. Nanoseconds of a
+/// camera at 30 Hz make a year, and half or twice of this limit tell no unit apart from another.
+const MAX_INTERVAL_S: f64 = 1e7;
+
+/// A sentence on times of a camera that cannot be seconds: all are equal, or years apart.
+fn implausible(
+    photos: &Photos,
+    usable: &[Photo],
+    times_s: &BTreeMap<String, f64>,
+) -> Option<String> {
+    let mut of_cameras: BTreeMap<usize, Vec<f64>> = BTreeMap::new();
+    for photo in usable {
+        let image = &photos.folder.images()[photo.index];
+        if let Some(time_s) = times_s.get(&image.name) {
+            of_cameras.entry(image.camera.index()).or_default().push(*time_s);
+        }
+    }
+    of_cameras.retain(|_, times_s| times_s.len() > 1);
+    let mut intervals_s: Vec<f64> = Vec::new();
+    for times_s in of_cameras.values_mut() {
+        times_s.sort_by(f64::total_cmp);
+        intervals_s.extend(times_s.windows(2).map(|two| two[1] - two[0]));
+    }
+    if !intervals_s.is_empty() && intervals_s.iter().all(|interval_s| *interval_s == 0.0) {
+        return Some(
+            "all times of a camera are equal: give the time of each photo, or leave --timestamps \
+            out"
+            .to_owned(),
+        );
+    }
+    let usual_s = median(&mut intervals_s).filter(|usual_s| *usual_s > MAX_INTERVAL_S)?;
+    Some(format!(
+        "photos of a camera are {usual_s:.0} s apart, more than four months: seconds are expected, \
+        not nanoseconds"
+    ))
 }
 
 /// Opens the database to resume, or creates it with cameras and images.

@@ -87,6 +87,7 @@ pub fn import_features(
         images,
         keypoints: counts.iter().sum(),
         skipped: Vec::new(),
+        notes: Vec::new(),
         cameras: cameras
             .map(|(index, camera)| CameraReport::new(CameraId::from_index(index), camera, None))
             .collect(),

@@ -47,6 +47,7 @@ mod report;
 mod rig_calibration;
 mod rig_evaluation;
 mod rig_file;
+mod rig_hints;
 mod rig_report;
 mod rigid;
 mod rolling_shutter;
@@ -112,7 +113,7 @@ pub use tiepoint_eval as eval;
 pub use tiepoint_io as io;
 pub use tiepoint_sfm as sfm;
 pub use undistort::{UndistortFolderOptions, UndistortLayout, Undistorted, undistort};
-pub use video::{DEFAULT_EVERY, OpenedInput, open_input};
+pub use video::{OpenedInput, open_input};
 pub use view::{
     CameraError, CloudError, ReportModel, ReportSection, Thumbnails, report_html, view,
 };

@@ -24,6 +24,7 @@ use crate::output_folder::model_names;
 use crate::records::{Progress, Recipe};
 use crate::rig_calibration::known_rigs;
 use crate::rig_file::RigFile;
+use crate::rig_hints::why_no_rig;
 use crate::scale::{ScaleReport, scale_to_baseline};
 use crate::workspace::{POINTS, rigs_in};
 use crate::{
@@ -210,7 +211,17 @@ pub fn map(
             ..ModelReport::new(model_path(index), &model.reconstruction, &model.shutters)
         }
     });
-    let reports = reports.collect();
+    let reports: Vec<ModelReport> = reports.collect();
+    let may_be_rig = options.rig != RigTerm::Off && !is_known;
+    let notes: Vec<String> = match models.first() {
+        Some(first) if may_be_rig && reports.iter().all(|report| report.rig.is_none()) => {
+            why_no_rig(&first.reconstruction).into_iter().collect()
+        }
+        _ => Vec::new(),
+    };
+    for what in &notes {
+        emit(watch, &Event::Noted { what })?;
+    }
     let seconds = start.elapsed().as_secs_f64();
     let removed: Vec<String> = replaced.into_iter().filter(|name| !staged.contains(name)).collect();
     // Behind all that may fail, and before the stage is complete: a later run repairs what an
@@ -224,7 +235,7 @@ pub fn map(
     }
     workspace.complete(STAGE);
     workspace.publish(staged, &removed, |all| {
-        all.stages.map = Some(MapReport { seconds });
+        all.stages.map = Some(MapReport { seconds, notes });
         all.models = reports;
     })?;
     emit(watch, &Event::StageDone { stage: STAGE, seconds })

@@ -11,6 +11,7 @@ use tiepoint_sfm::matching::{
     RetrievalIndex, SIMILAR, Sequence, Similar, Vocabulary, VocabularyOptions, VocabularyTree,
     auto_pairs, num_similar,
 };
+use tiepoint_sfm::natural_order;
 use tiepoint_sfm::scene::{Image, ImageId, ImagePair};
 
 use crate::sequences::camera_images;
@@ -141,7 +142,7 @@ fn similar_images(
 }
 
 /// The pairs of an explicit selection. The images of a folder are a sequence, whatever settings its
-/// camera had; they are ordered by time if all times are known, else by name.
+/// camera had; they are ordered by time if all times are known, else by name, numbers by value.
 fn selected(
     database: &Database,
     images: &[Image],
@@ -149,6 +150,7 @@ fn selected(
     selection: PairSelection,
     seed: u64,
 ) -> Result<Vec<(u32, u32)>, Error> {
+    let images_of_all = images;
     // Of each camera: the first camera in its folder, that of its first image.
     let mut firsts: BTreeMap<u32, u32> = BTreeMap::new();
     let mut first_in_folder: BTreeMap<&str, u32> = BTreeMap::new();
@@ -165,6 +167,8 @@ fn selected(
     }
     let sequences = folders.into_values().map(|mut images| {
         if !are_timed {
+            let name = |id: u32| images_of_all[id as usize].name.as_str();
+            images.sort_by(|a, b| natural_order(name(a.1), name(b.1)));
             return Ok(Sequence::new(images.into_iter().map(|(_, id)| id).collect()));
         }
         images.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));

@@ -16,6 +16,8 @@ pub struct Photos {
     pub(crate) folder: ImageFolder,
     pub(crate) inputs: Vec<PathBuf>,
     masks: Option<PathBuf>,
+    /// What the report notes about them.
+    pub(crate) notes: Vec<String>,
 }
 
 /// A photo whose header could be read.
@@ -45,6 +47,7 @@ impl Photos {
             path.canonicalize().map_err(|cause| Error::Unreadable { path: path.clone(), cause })
         };
         let photos = Self {
+            notes: folder.notes().to_vec(),
             folder,
             inputs: inputs.iter().map(absolute).collect::<Result<_, _>>()?,
             masks: masks.map(Path::to_owned),

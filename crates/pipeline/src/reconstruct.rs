@@ -2,9 +2,8 @@ use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 
 use crate::{
-    DEFAULT_EVERY, DenseOptions, Error, FeatureOptions, MapOptions, MatchOptions, OpenedInput,
-    Report, Stage, Watch, Workspace, dense, extract_features, import_features, map, match_images,
-    open_input,
+    DenseOptions, Error, FeatureOptions, MapOptions, MatchOptions, OpenedInput, Report, Stage,
+    Watch, Workspace, dense, extract_features, import_features, map, match_images, open_input,
 };
 
 /// Options of [`reconstruct`].
@@ -17,8 +16,9 @@ pub struct Options {
     pub features: FeatureOptions,
     /// Folder with a mask for each image; no keypoints and depths are estimated where a mask is 0.
     pub masks: Option<PathBuf>,
-    /// The sharpest of every N frames of a video is used.
-    pub every: NonZeroUsize,
+    /// The sharpest of every N frames of a video is used; `None`: as many as time and image motion
+    /// ask for.
+    pub every: Option<NonZeroUsize>,
     /// Stage 2.
     pub matching: MatchOptions,
     /// Stage 3.
@@ -35,7 +35,7 @@ impl Default for Options {
             database: None,
             features: FeatureOptions::default(),
             masks: None,
-            every: DEFAULT_EVERY,
+            every: None,
             matching: MatchOptions::default(),
             mapping: MapOptions::default(),
             dense: None,

@@ -49,6 +49,9 @@ pub struct FeaturesReport {
     pub keypoints: usize,
     /// Images that were skipped.
     pub skipped: Vec<SkippedImage>,
+    /// What was noted about the input, a sentence each.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub notes: Vec<String>,
     /// Initial cameras.
     pub cameras: Vec<CameraReport>,
 }
@@ -91,6 +94,9 @@ pub struct MatchReport {
 pub struct MapReport {
     /// Wall time.
     pub seconds: f64,
+    /// What was noted about the photos, a sentence each.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub notes: Vec<String>,
 }
 
 /// Summary of dense reconstruction.

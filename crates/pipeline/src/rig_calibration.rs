@@ -5,7 +5,7 @@ use std::path::Path;
 
 use tiepoint_io::rig_calibration::{self, CameraOnRig, PhotosOfCamera};
 use tiepoint_sfm::scene::{Camera, CameraId, ImageId, Reconstruction, Rig, RigId, RigSensor};
-use tiepoint_sfm::{KnownFrame, KnownRigs, frames_by_time};
+use tiepoint_sfm::{KnownFrame, KnownRigs, frames_by_time, pairs_by_name};
 
 use crate::Error;
 use crate::calibration::{camera_of_photo, is_named};
@@ -15,7 +15,8 @@ use crate::calibration::{camera_of_photo, is_named};
 ///
 /// Photos of one frame have the same name after their prefix or folder, as in COLMAP. If no two
 /// cameras of a rig have such photos, frames come from the times of the photos, corrected by the
-/// time offsets of the file ([`frames_by_time`]).
+/// time offsets of the file ([`frames_by_time`]), or without times from the numbers in their names
+/// ([`pairs_by_name`]).
 ///
 /// # Errors
 ///
@@ -52,8 +53,8 @@ pub(crate) fn known_rigs(
         if cameras.len() > 1 && frames.iter().all(|images| images.len() < 2) {
             let whats: Vec<&str> = photos.iter().map(|photos| photos.what.as_str()).collect();
             return Err(fails(format!(
-                "no two of {} are of one frame: give the photos of a frame the same name, or their \
-                times with --timestamps",
+                "no two of {} are of one frame: give the photos of a frame the same name or number, \
+                or their times with --timestamps",
                 whats.join(", ")
             )));
         }
@@ -179,7 +180,8 @@ fn set_intrinsics(
     Ok(())
 }
 
-/// The frames of a rig: by equal names, else by time. Photos without a partner are frames of one.
+/// The frames of a rig: by equal names, else by time, else by the number that varies in the names.
+/// Photos without a partner are frames of one.
 fn frames_of(
     scene: &Reconstruction,
     cameras: &[CameraOnRig],
@@ -200,7 +202,27 @@ fn frames_of(
             (photos.images.iter().map(|(_, image)| *image).collect(), camera.time_offset_s)
         })
         .collect();
-    frames_by_time(scene, &images).unwrap_or(frames)
+    frames_by_time(scene, &images).unwrap_or_else(|| frames_by_number(photos))
+}
+
+/// The frames by the names of the photos of each camera beside those of the first.
+fn frames_by_number(photos: &[Photos]) -> Vec<Vec<ImageId>> {
+    let Some((first, others)) = photos.split_first() else { return Vec::new() };
+    fn names(photos: &Photos) -> Vec<&str> {
+        photos.images.iter().map(|(name, _)| name.as_str()).collect()
+    }
+    let of_first = names(first);
+    let mut frames: Vec<Vec<ImageId>> = first.images.iter().map(|(_, id)| vec![*id]).collect();
+    for camera in others {
+        let of_camera = names(camera);
+        let mut alone: BTreeSet<usize> = (0..of_camera.len()).collect();
+        for (frame, index) in pairs_by_name(&of_first, &of_camera) {
+            frames[frame].push(camera.images[index].1);
+            alone.remove(&index);
+        }
+        frames.extend(alone.into_iter().map(|index| vec![camera.images[index].1]));
+    }
+    frames
 }
 
 #[cfg(test)]

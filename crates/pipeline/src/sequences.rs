@@ -57,7 +57,7 @@ pub(crate) fn camera_images(
 }
 
 /// A name up to its last number: `left/IMG_` of `left/IMG_0012.jpg`.
-fn prefix(name: &str) -> &str {
+pub(crate) fn prefix(name: &str) -> &str {
     let start = name.rfind('/').map_or(0, |slash| slash + 1);
     let stem = name[start..].split('.').next().unwrap_or("");
     let before = stem.trim_end_matches(|c: char| !c.is_ascii_digit());

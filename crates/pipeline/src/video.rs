@@ -1,9 +1,9 @@
 //! Videos as input: selected frames are written into the workspace as photos with capture times.
 //!
 //! A recording has its start time in whole seconds at best. If the soundtracks of two recordings
-//! correlate, they give the offset between the starts ([`audio_offset`]). Then the frames of the
-//! second one are selected at the times of the first one's, so that synchronous frames differ by at
-//! most half a frame interval.
+//! correlate, they give the offset between the starts ([`audio_offset`]). The frames of the second
+//! one are selected at the times of the first one's, so that synchronous frames differ by at most
+//! half a frame interval.
 
 mod audio_offset;
 mod frame_selection;
@@ -13,18 +13,17 @@ use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
-use tiepoint_io::is_image;
-use tiepoint_io::timestamps;
-use tiepoint_io::video::{Recording, VideoReader, is_stabilised, is_video, read_sound, recordings};
+use tiepoint_io::video::{
+    Recording, Reduction, Transfer, VideoReader, is_stabilised, is_video, read_sound, recordings,
+};
+use tiepoint_io::{is_image, is_unread_image, timestamps};
 
 use crate::fingerprint::of_files;
 use crate::output_folder::OutputFolder;
 use crate::records::json;
 use crate::{Error, Event, Photos, Stage, Watch, Workspace, emit};
-use frame_selection::{Candidate, FrameSelector};
+use frame_selection::{Candidate, FrameSelector, STRETCH_S, Selected};
 
-/// Huang, Elhashash & Qin 2022 use every third frame at 30 Hz.
-pub const DEFAULT_EVERY: NonZeroUsize = NonZeroUsize::new(3).unwrap();
 const FRAMES: &str = "frames";
 const RECORD: &str = "videos.json";
 const TIMES: &str = "timestamps.csv";
@@ -32,11 +31,14 @@ const TIMES: &str = "timestamps.csv";
 const FRAME_DIGITS: usize = 6;
 
 /// Source of the frames in a folder; the last file to be written there.
-#[derive(Debug, Serialize, Deserialize, PartialEq, Eq)]
+#[derive(Debug, Serialize, Deserialize)]
 struct Record {
-    every: NonZeroUsize,
+    every: Option<NonZeroUsize>,
     /// Name and fingerprint of each recording.
     videos: Vec<(String, String)>,
+    /// What the report notes about them.
+    #[serde(default)]
+    notes: Vec<String>,
 }
 
 /// A workspace with its input photos.
@@ -50,7 +52,8 @@ pub struct OpenedInput {
 }
 
 /// Opens or creates the workspace at `root` for `inputs`: folders of photos, or videos (files or
-/// folders of them). The sharpest of every `every` frames of a video is written into the workspace.
+/// folders of them). The sharpest of every `every` frames of a video is written into the workspace,
+/// and by default the sharpest of each tenth of a second, and more where the image moves fast.
 /// Existing frames of other videos, or with another `every`, are replaced if `redo` is the feature
 /// stage.
 ///
@@ -63,7 +66,7 @@ pub fn open_input(
     inputs: &[PathBuf],
     masks: Option<&Path>,
     root: &Path,
-    every: NonZeroUsize,
+    every: Option<NonZeroUsize>,
     redo: Option<Stage>,
     watch: Watch,
 ) -> Result<OpenedInput, Error> {
@@ -77,12 +80,15 @@ pub fn open_input(
     let videos = recordings
         .iter()
         .map(|recording| Ok((recording.name.clone(), of_files(&recording.chapters)?)));
-    let record = Record { every, videos: videos.collect::<Result<_, Error>>()? };
+    let videos = videos.collect::<Result<Vec<_>, Error>>()?;
     let workspace = Workspace::create(root)?;
     let folder = workspace.root().join(FRAMES);
     let (mut frames, before) = open_frames(&folder)?;
     let times = folder.join(TIMES);
-    if before.as_ref() != Some(&record) {
+    let kept = before.as_ref().filter(|before| (before.every, &before.videos) == (every, &videos));
+    let notes = if let Some(kept) = kept {
+        kept.notes.clone()
+    } else {
         if before.is_some() && redo != Some(Stage::Features) {
             return Err(Error::OtherFrames { path: folder });
         }
@@ -91,15 +97,18 @@ pub fn open_input(
             recordings.iter().flat_map(|recording| &recording.chapters).map(PathBuf::as_path),
         );
         frames.refuse_foreign(earlier.iter().map(String::as_str))?;
-        let mut names = extract(&recordings, &frames, every, watch)?;
+        let (mut names, notes) = extract(&recordings, &frames, every, watch)?;
+        let record = Record { every, videos, notes: notes.clone() };
         frames.stage_bytes(RECORD, &json(&record))?;
         names.push(RECORD.to_owned());
         let removed: Vec<String> =
             earlier.into_iter().filter(|name| !names.contains(name)).collect();
         frames.publish(&names, &removed)?;
-    }
+        notes
+    };
     drop(frames);
-    let photos = Photos::open(&[folder], masks)?;
+    let mut photos = Photos::open(&[folder], masks)?;
+    photos.notes.splice(0..0, notes);
     Ok(OpenedInput { workspace, photos, timestamps: Some(times) })
 }
 
@@ -124,7 +133,7 @@ fn open_frames(folder: &Path) -> Result<(OutputFolder, Option<Record>), Error> {
     }
 }
 
-/// The video files among the inputs and in input folders without images; empty for photos.
+/// The video files among the inputs and in input folders without images of any format; empty for photos.
 ///
 /// # Errors
 ///
@@ -138,7 +147,8 @@ fn videos(inputs: &[PathBuf]) -> Result<Vec<PathBuf>, Error> {
                 entries.map_err(|cause| Error::Unreadable { path: input.clone(), cause })?;
             let mut here: Vec<PathBuf> = entries.into_iter().map(|entry| entry.path()).collect();
             here.sort();
-            if !here.iter().any(|path| is_image(path)) {
+            // Photos that are not read are named beside the photos, not passed over for videos.
+            if !here.iter().any(|path| is_image(path) || is_unread_image(path)) {
                 files.extend(here.into_iter().filter(|path| path.is_file() && is_video(path)));
             }
         } else if is_video(input) {
@@ -177,65 +187,116 @@ fn with_unique_names(mut recordings: Vec<Recording>) -> Result<Vec<Recording>, E
     Ok(recordings)
 }
 
-/// Stages the selected frames of all recordings and their capture times. Returns the file names.
+/// Stages the selected frames of all recordings and their capture times. Returns the file names, and
+/// what is to be noted.
 fn extract(
     recordings: &[Recording],
     frames: &OutputFolder,
-    every: NonZeroUsize,
+    every: Option<NonZeroUsize>,
     watch: Watch,
-) -> Result<Vec<String>, Error> {
+) -> Result<(Vec<String>, Vec<String>), Error> {
     // Names and capture times of the selected frames.
     let mut selected: Vec<(String, f64)> = Vec::new();
+    let mut notes = Vec::new();
     let start_offsets_s = start_offsets_s(recordings, watch)?;
-    // Start time and times of the selected frames of the first recording.
-    let (mut first_start_s, mut first_times_s) = (None, Vec::new());
+    // Whether the first recording tells when it began, and when that was.
+    let (mut is_dated, mut first_start_s) = (true, None);
+    // Times of the frames that were selected for no other recording.
+    let mut target_times_s: Vec<f64> = Vec::new();
     for (recording, start_offset_s) in recordings.iter().zip(start_offsets_s) {
         let is_moving = recording.chapters.first().map(|file| is_stabilised(file)).transpose()?;
         if is_moving.flatten() == Some(true) {
             emit(watch, &Event::Stabilised { recording: &recording.name })?;
         }
-        let target_times_s =
-            if start_offset_s.is_some() { first_times_s.clone() } else { Vec::new() };
-        let mut selector = FrameSelector::new(every, target_times_s);
+        let mut selector = FrameSelector::new(every, target_times_s.clone());
         let start_by_audio_s = start_offset_s.and_then(|offset_s| Some(first_start_s? + offset_s));
         let (mut read, mut start_s, mut chapter_offset_s, mut last_s, mut interval_s) =
             (0, start_by_audio_s, 0.0, 0.0, 0.0);
+        let mut reduction = Reduction::None;
         let selected_before = selected.len();
-        let mut keep = |frame: Option<Candidate>, watch: Watch, read: usize| -> Result<(), Error> {
-            let Some(frame) = frame else { return Ok(()) };
+        let mut keep = |chosen: Selected, watch: Watch, read: usize| -> Result<(), Error> {
+            let Selected { frame, is_target } = chosen;
             let name = format!("{}/{:0FRAME_DIGITS$}.jpg", recording.name, frame.index);
             frame.image.write(&frames.stage(&name)?)?;
             emit(watch, &Event::FrameKept { image: &name, read })?;
             selected.push((name, frame.time_s));
+            if !is_target {
+                target_times_s.push(frame.time_s);
+            }
             Ok(())
         };
         for chapter in &recording.chapters {
             let mut reader = VideoReader::open(chapter)?;
             while let Some(frame) = reader.next_frame()? {
-                let start_s = *start_s.get_or_insert(reader.created_s().unwrap_or(0.0));
+                let start_s = *start_s.get_or_insert_with(|| {
+                    // Times by one clock only: a recording without a date began with the first one.
+                    let own_s = reader.created_s().filter(|_| is_dated);
+                    own_s.or(first_start_s).unwrap_or(0.0)
+                });
+                if first_start_s.is_none() {
+                    is_dated = reader.created_s().is_some();
+                    first_start_s = Some(start_s);
+                }
                 let time_s = start_s + chapter_offset_s + frame.time_s;
                 if read > 0 {
                     interval_s = time_s - last_s;
                 }
                 last_s = time_s;
-                keep(selector.add(Candidate::new(read, time_s, frame.image)), watch, read)?;
+                for chosen in selector.add(Candidate::new(read, time_s, frame.image)) {
+                    keep(chosen, watch, read)?;
+                }
                 read += 1;
             }
+            reduction = reader.reduction();
             // A chapter starts one frame interval after the last frame of the previous one.
             chapter_offset_s = last_s + interval_s - start_s.unwrap_or(0.0);
         }
-        keep(selector.end(), watch, read)?;
-        if first_start_s.is_none() {
-            first_start_s = start_s;
-            first_times_s = selected[selected_before..].iter().map(|(_, time_s)| *time_s).collect();
+        if let Some(chosen) = selector.end() {
+            keep(chosen, watch, read)?;
         }
+        notes.push(taken_note(&recording.name, selected.len() - selected_before, read, every));
+        notes.extend(reduction_note(&recording.name, reduction));
     }
     selected.sort_by(|a, b| a.0.cmp(&b.0));
     timestamps::write(
         &frames.stage(TIMES)?,
         selected.iter().map(|(name, time_s)| (name.as_str(), *time_s)),
     )?;
-    Ok(selected.into_iter().map(|(name, _)| name).chain([TIMES.to_owned()]).collect())
+    let names = selected.into_iter().map(|(name, _)| name).chain([TIMES.to_owned()]).collect();
+    Ok((names, notes))
+}
+
+/// How many frames of a recording are taken, and how to take more.
+fn taken_note(recording: &str, taken: usize, read: usize, every: Option<NonZeroUsize>) -> String {
+    let (rule, more) = match every {
+        None => (
+            format!("one in {STRETCH_S} s, more where the image moves fast, none where it stands"),
+            "--every 1 takes all that move",
+        ),
+        Some(NonZeroUsize::MIN) => return format!("{recording}: {taken} of {read} frames taken"),
+        Some(every) => {
+            (format!("one of {every}, none where the image stands"), "a smaller --every takes more")
+        }
+    };
+    match taken < read {
+        true => format!("{recording}: {taken} of {read} frames taken ({rule}); {more}"),
+        false => format!("{recording}: all {read} frames taken"),
+    }
+}
+
+/// How the frames of a recording became eight bits a channel, if they had not been that.
+fn reduction_note(recording: &str, reduction: Reduction) -> Option<String> {
+    let how = match reduction {
+        Reduction::None => return None,
+        Reduction::Scaled => "more than 8 bits a channel were scaled to 8",
+        Reduction::ToneMapped(Transfer::Hlg) => {
+            "high dynamic range (HLG) was tone-mapped to 8 bits a channel"
+        }
+        Reduction::ToneMapped(Transfer::Pq) => {
+            "high dynamic range (PQ) was tone-mapped to 8 bits a channel"
+        }
+    };
+    Some(format!("{recording}: {how}"))
 }
 
 /// Start of each recording minus start of the first one, in seconds, if the soundtracks correlate.
@@ -277,6 +338,12 @@ mod tests {
             fs::write(path(name), "").unwrap();
         }
         assert_eq!(videos(&[path("photos")]).unwrap(), Vec::<PathBuf>::new());
+        // A telephone's photos with a short video each.
+        fs::create_dir(path("live")).unwrap();
+        for name in ["live/1.HEIC", "live/1.MOV"] {
+            fs::write(path(name), "").unwrap();
+        }
+        assert_eq!(videos(&[path("live")]).unwrap(), Vec::<PathBuf>::new());
         assert!(matches!(videos(&[path("photos"), path("left")]), Err(Error::MixedInput { .. })));
         let files = videos(&[path("left"), path("right/GX010042.MP4")]).unwrap();
         assert_eq!(files.len(), 3);

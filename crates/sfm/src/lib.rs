@@ -3,6 +3,7 @@
 mod adjust;
 mod error;
 mod event;
+mod frame_names;
 mod image_grid;
 mod known_rigs;
 mod loop_closure;
@@ -24,6 +25,7 @@ pub use adjust::{
 };
 pub use error::Error;
 pub use event::{Event, Failure, OptionalStage};
+pub use frame_names::{natural_order, pairs_by_name};
 pub use known_rigs::{KnownFrame, KnownRigs};
 pub use mapped_model::MappedModel;
 pub use mapper::{Existing, extend, map, map_with_rigs};

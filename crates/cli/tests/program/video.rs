@@ -109,6 +109,135 @@ fn non_square_pixels_are_resampled() {
     }
 }
 
+/// Runs ffmpeg on the video `from`, with options between input and output.
+fn converted(dir: &Path, from: &str, options: &[&str], to: &str) -> bool {
+    let made = Command::new("ffmpeg")
+        .args(["-v", "error", "-i"])
+        .arg(dir.join(from))
+        .args(options)
+        .arg(dir.join(to))
+        .status();
+    made.unwrap().success()
+}
+
+#[test]
+fn more_than_eight_bits_are_read() {
+    /// Mean absolute difference of grey values to the film of eight bits, from the rounding of
+    /// colours; and least correlation with it after tone mapping, which is no linear function.
+    const MAX_DIFFERENCE: f64 = 4.0;
+    const MIN_CORRELATION: f64 = 0.9;
+    if !has_ffmpeg() {
+        return;
+    }
+    let dir = tempfile::tempdir().unwrap();
+    film(dir.path(), "plain.mov", 3);
+    let frames = |stem: &str, note: Option<&str>| -> Vec<f64> {
+        let run = tiepoint_in(
+            dir.path(),
+            &format!("features {{}}/{stem} -o {{}}/{stem}.ws --every 1 --json"),
+        );
+        let report = run.done().json();
+        let notes = report["stages"]["features"]["notes"].to_string();
+        match note {
+            Some(note) => assert!(notes.contains(note), "{stem}: {notes}"),
+            None => assert!(!notes.contains("8 bits"), "{stem}: {notes}"),
+        }
+        let name = stem.split('.').next().unwrap();
+        let frame = dir.path().join(format!("{stem}.ws/frames/{name}/000000.jpg"));
+        image::open(frame).unwrap().to_luma8().into_raw().into_iter().map(f64::from).collect()
+    };
+    let plain = frames("plain.mov", None);
+    let format = |name: &'static str| ["-pix_fmt", name];
+    let ffv1 = |name| [&format(name)[..], &["-c:v", "ffv1"]].concat();
+    let transfer = |name| {
+        [
+            &["-color_trc", name, "-color_primaries", "bt2020"][..],
+            &["-colorspace", "bt2020nc"],
+            &ffv1("yuv420p10le"),
+        ]
+        .concat()
+    };
+    let prores = [&["-c:v", "prores_ks"][..], &format("yuv422p10le")].concat();
+    let scaled = Some("more than 8 bits a channel were scaled");
+    for (name, options, note) in [
+        ("ten.mkv", ffv1("yuv420p10le"), scaled),
+        ("grey.mkv", ffv1("gray10le"), scaled),
+        ("sixteen.mkv", ffv1("gray16le"), scaled),
+        ("rgb.mkv", ffv1("gbrp12le"), scaled),
+        ("prores.mov", prores, scaled),
+        ("eight.mkv", ffv1("yuv444p"), None),
+        ("hlg.mkv", transfer("arib-std-b67"), Some("(HLG) was tone-mapped")),
+        ("pq.mkv", transfer("smpte2084"), Some("(PQ) was tone-mapped")),
+    ] {
+        assert!(converted(dir.path(), "plain.mov", &options, name), "{name}");
+        let found = frames(name, note);
+        assert_eq!(found.len(), plain.len(), "{name}");
+        if name.starts_with("hlg") || name.starts_with("pq") {
+            let correlation = correlation(&found, &plain);
+            assert!(correlation > MIN_CORRELATION, "{name}: {correlation}");
+        } else {
+            let differences = found.iter().zip(&plain).map(|(a, b)| (a - b).abs());
+            let mean = differences.sum::<f64>() / plain.len() as f64;
+            assert!(mean < MAX_DIFFERENCE, "{name}: {mean}");
+        }
+    }
+}
+
+fn correlation(a: &[f64], b: &[f64]) -> f64 {
+    let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
+    let (mean_a, mean_b) = (mean(a), mean(b));
+    let product = |a: &[f64], mean_a: f64, b: &[f64], mean_b: f64| -> f64 {
+        a.iter().zip(b).map(|(a, b)| (a - mean_a) * (b - mean_b)).sum()
+    };
+    product(a, mean_a, b, mean_b)
+        / (product(a, mean_a, a, mean_a) * product(b, mean_b, b, mean_b)).sqrt()
+}
+
+#[test]
+fn videos_of_a_drive_give_frames_of_the_same_times() {
+    if !has_ffmpeg() {
+        return;
+    }
+    let dir = tempfile::tempdir().unwrap();
+    film(dir.path(), "left.mov", 9);
+    // The right camera saw some frames sharper than the left one.
+    let blurred = "gblur=sigma=2:enable='lt(n,9)*not(mod(n,3))'";
+    assert!(converted(dir.path(), "left.mov", &["-vf", blurred, "-q:v", "2"], "right.mov"));
+    let of = |run: &str, side: &str| -> Vec<f64> {
+        let times = times(&dir.path().join(run));
+        let of_side = times.iter().filter(|(name, _)| name.starts_with(side));
+        of_side.map(|(_, time_s)| time_s - CREATED_S).collect()
+    };
+    let features = |options: &str, run: &str| -> String {
+        let command =
+            format!("features {{}}/left.mov {{}}/right.mov -o {{}}/{run} {options} --json");
+        tiepoint_in(dir.path(), &command).done().json()["stages"]["features"]["notes"].to_string()
+    };
+    // At 10 Hz a frame is a stretch, and all that move are taken.
+    let notes = features("", "all");
+    assert_eq!(of("all", "left").len(), 9, "{notes}");
+    assert_eq!(of("all", "left"), of("all", "right"));
+    assert!(notes.contains("left: 9 of 18 frames taken") && notes.contains("--every 1"), "{notes}");
+    features("--every 3", "third");
+    assert!(of("third", "left").len() < 5, "{:?}", of("third", "left"));
+    assert_eq!(of("third", "left"), of("third", "right"));
+    // Cameras of other rates: the nearest frames, at most half an interval of the second away.
+    for (name, rate_hz) in [("slow.mov", 8.0), ("fast.mov", 30.0)] {
+        let rate = format!("fps={rate_hz}");
+        let options = ["-vf", rate.as_str(), "-q:v", "2", "-map_metadata", "-1"];
+        assert!(converted(dir.path(), "left.mov", &options, name));
+        tiepoint_in(dir.path(), &format!("features {{}}/left.mov {{}}/{name} -o {{}}/{name}.ws"))
+            .done();
+        let run = format!("{name}.ws");
+        let (left, other) = (of(&run, "left"), of(&run, name.split('.').next().unwrap()));
+        for time_s in &left {
+            let nearest = other.iter().map(|other| (other - time_s).abs()).fold(1.0, f64::min);
+            assert!(nearest <= 0.5 / rate_hz + TIME_TOLERANCE_S, "{name}: {left:?} {other:?}");
+        }
+        assert!(other.len() <= left.len() + 1, "{name}: {left:?} {other:?}");
+    }
+}
+
 /// Writes eight seconds of knocks at irregular times, starting at `from_s`, as a mono WAV file.
 fn knocks(path: &Path, from_s: f64) {
     const RATE: u32 = 8000;

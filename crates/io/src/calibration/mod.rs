@@ -8,18 +8,16 @@ mod kitti_raw;
 mod opencv;
 
 use std::collections::BTreeSet;
-use std::fs::File;
-use std::io::Read;
 use std::path::Path;
 
 pub use camera::CameraCalibration;
 
-use crate::text::Lines;
-use crate::{Error, Result, colmap, kitti, require_regular_file, yaml};
+use crate::text::{Lines, read_text};
+use crate::{Error, Result, colmap, kitti, yaml};
 
 /// Longest file that is read, in bytes. A calibration has some kilobytes, and `cameras.txt` of ten
 /// thousand cameras one million.
-const MAX_BYTES: u64 = 4 << 20;
+pub(crate) const MAX_BYTES: u64 = 4 << 20;
 
 /// Reads COLMAP's `cameras.txt`, OpenCV's YAML of `FileStorage` (also of ROS), Kalibr's camchain or
 /// KITTI's `calib.txt` (also `calib_cam_to_cam.txt` of its raw recordings, of which the rectified
@@ -31,7 +29,7 @@ const MAX_BYTES: u64 = 4 << 20;
 /// If the file cannot be read, is larger than four megabytes, is none of these or not as its format
 /// says, and if a camera model is unknown, a number is not finite or a focal length not positive.
 pub fn read(path: &Path) -> Result<Vec<CameraCalibration>> {
-    let text = read_text(path)?;
+    let text = read_text(path, MAX_BYTES, "calibration")?;
     let first = text.lines().map(str::trim).find(|line| !line.is_empty() && !is_comment(line));
     let first_word = first.and_then(|line| line.split_whitespace().next()).unwrap_or("");
     let is_yaml_name = path.extension().is_some_and(|ending| {
@@ -67,18 +65,6 @@ pub fn read(path: &Path) -> Result<Vec<CameraCalibration>> {
 
 fn is_comment(line: &str) -> bool {
     line.starts_with('#')
-}
-
-pub(crate) fn read_text(path: &Path) -> Result<String> {
-    require_regular_file(path)?;
-    let file = File::open(path).map_err(Error::io(path))?;
-    let mut bytes = Vec::new();
-    file.take(MAX_BYTES + 1).read_to_end(&mut bytes).map_err(Error::io(path))?;
-    if bytes.len() as u64 > MAX_BYTES {
-        let most = MAX_BYTES >> 20;
-        return Err(Error::content(path, format!("has more than {most} MB: it is no calibration")));
-    }
-    String::from_utf8(bytes).map_err(|_| Error::content(path, "is not UTF-8 text"))
 }
 
 fn of_yaml(path: &Path, text: &str) -> Result<Vec<CameraCalibration>> {

@@ -10,7 +10,8 @@ use std::path::Path;
 pub use camera_on_rig::{CameraOnRig, PhotosOfCamera};
 
 use crate::Result;
-use crate::calibration::read_text;
+use crate::calibration::MAX_BYTES;
+use crate::text::read_text;
 
 /// Reads COLMAP's `rig_config.json` or Kalibr's camchain; the content decides which it is. Returns
 /// at least one rig; the cameras of each begin with the reference camera. No prefix or name is
@@ -22,7 +23,7 @@ use crate::calibration::read_text;
 /// if a rig has not exactly one reference camera, or another camera has no pose; if a rotation is
 /// none, a number is not finite or intrinsics do not fit their model.
 pub fn read(path: &Path) -> Result<Vec<Vec<CameraOnRig>>> {
-    let text = read_text(path)?;
+    let text = read_text(path, MAX_BYTES, "calibration")?;
     if text.trim_start().starts_with(['[', '{']) {
         colmap::rigs(path, &text)
     } else {

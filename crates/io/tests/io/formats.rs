@@ -12,7 +12,9 @@ use tiepoint_io::ply::{self, Vertex};
 use tiepoint_io::trajectory::{
     TimedPose, read_euroc, read_kitti, read_tum, write_euroc, write_kitti, write_tum,
 };
-use tiepoint_io::{kitti, strecha};
+use tiepoint_io::{
+    calibration, colmap, kitti, positions, rig_calibration, similarity, strecha, timestamps,
+};
 
 use crate::common::{RigKind, pose, random_model, vector};
 use crate::skipped;
@@ -499,4 +501,90 @@ fn clouds_in_utm_coordinates_keep_their_millimetres() {
     }
     ply::write(&path, &[]).unwrap();
     assert!(ply::read(&path).unwrap().is_empty());
+}
+
+/// Reads a file or the only file of a folder; the result as text.
+type Reader = fn(&Path) -> String;
+
+/// Every reader of text: the name of a file, its content, and the reader of the folder of it.
+fn text_readers() -> Vec<(&'static str, &'static str, Reader)> {
+    fn shown<T: std::fmt::Debug>(result: tiepoint_io::Result<T>) -> String {
+        match result {
+            Ok(value) => format!("{value:?}"),
+            Err(error) => format!("error: {error}"),
+        }
+    }
+    const CAMERA: &str = "1 0 0\n0 1 0\n0 0 1\n0 0 0\n1 0 0\n0 1 0\n0 0 1\n1 2 3\n640 480\n";
+    vec![
+        ("positions.txt", "1.jpg 1 2 3\n2.jpg 4 5 6\n", |p| shown(positions::read(p))),
+        ("times.csv", "image,seconds\n1.jpg,0.5\n", |p| shown(timestamps::read(p))),
+        ("tum.txt", "0.5 1 2 3 0 0 0 1\n", |p| shown(read_tum(p))),
+        ("kitti.txt", "1 0 0 1 0 1 0 2 0 0 1 3\n", |p| shown(read_kitti(p))),
+        ("euroc.csv", "5,1,2,3,1,0,0,0\n", |p| shown(read_euroc(p))),
+        ("sim.txt", "2 1 0 0 0 1 2 3\n", |p| shown(similarity::read(p))),
+        ("bal.txt", "1 0 0\n0 0 0 0 0 0 1 0 0\n", |p| shown(Bal::read(p))),
+        ("0.jpg.camera", CAMERA, |p| shown(strecha::read(p.parent().unwrap()))),
+        ("calib.txt", "P0: 700 0 600 0 0 700 180 0 0 0 1 0\n", |p| shown(calibration::read(p))),
+        ("cameras.txt", "1 PINHOLE 640 480 500 500 320 240\n", |p| shown(calibration::read(p))),
+        (
+            "opencv.yml",
+            "%YAML:1.0\n---\nimage_width: 640\nimage_height: 480\n\
+             camera_matrix: [500, 0, 320, 0, 500, 240, 0, 0, 1]\n",
+            |p| shown(calibration::read(p)),
+        ),
+        (
+            "camchain.yaml",
+            "cam0:\n  camera_model: pinhole\n  intrinsics: [500, 500, 320, 240]\n  \
+             resolution: [640, 480]\n",
+            |p| shown(rig_calibration::read(p)),
+        ),
+        (
+            "rig_config.json",
+            r#"[{"cameras": [{"image_prefix": "a/", "ref_sensor": true}]}]"#,
+            |p| shown(rig_calibration::read(p)),
+        ),
+    ]
+}
+
+#[test]
+fn text_may_begin_with_a_byte_order_mark_and_is_not_utf_16() {
+    for (name, content, read) in text_readers() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join(name);
+        let of_bytes = |bytes: &[u8]| {
+            fs::write(&path, bytes).unwrap();
+            read(&path)
+        };
+        let plain = of_bytes(content.as_bytes());
+        assert!(!plain.starts_with("error"), "{name}: {plain}");
+        assert_eq!(of_bytes(&[b"\xEF\xBB\xBF", content.as_bytes()].concat()), plain, "{name}");
+        let wide = |bytes_of: fn(u16) -> [u8; 2], mark: &str| -> Vec<u8> {
+            let text = mark.to_owned() + content;
+            text.encode_utf16().flat_map(bytes_of).collect()
+        };
+        for utf_16 in [
+            wide(u16::to_le_bytes, "\u{feff}"),
+            wide(u16::to_be_bytes, "\u{feff}"),
+            wide(u16::to_le_bytes, ""),
+            wide(u16::to_be_bytes, ""),
+        ] {
+            let error = of_bytes(&utf_16);
+            assert!(error.contains("is UTF-16 text") && error.contains("UTF-8"), "{name}: {error}");
+            assert!(error.contains(name), "{name}: {error}");
+        }
+    }
+}
+
+#[test]
+fn text_models_may_begin_with_byte_order_marks() {
+    let dir = tempfile::tempdir().unwrap();
+    let model = random_model(3, RigKind::SingleCameras);
+    colmap::write_model(dir.path(), &model, colmap::Format::Text).unwrap();
+    let before = colmap::read_model(dir.path()).unwrap();
+    for entry in fs::read_dir(dir.path()).unwrap() {
+        let path = entry.unwrap().path();
+        let content = fs::read(&path).unwrap();
+        fs::write(&path, [b"\xEF\xBB\xBF", &content[..]].concat()).unwrap();
+    }
+    assert_eq!(colmap::read_model(dir.path()).unwrap(), before);
 }

@@ -215,7 +215,7 @@ fn photos_of_telephones_are_named_with_what_to_do() {
     let folder = ImageFolder::open(&[dir.path().to_owned()], None).unwrap();
     assert_eq!(folder.images().len(), 2);
     let [skipped] = folder.skipped() else { panic!("{:?}", folder.skipped()) };
-    let expected = "is a HEIC photo, as is 1 other file beside it, and these are not read: \
+    let expected = "is a HEIC photo, as is 3.heif, and these are not read: \
     convert them to JPEG, as with \
                     `heif-convert 2.HEIC 2.jpg`";
     assert_eq!(skipped.name, "2.HEIC");
@@ -225,5 +225,5 @@ fn photos_of_telephones_are_named_with_what_to_do() {
         fs::remove_file(dir.path().join(name)).unwrap();
     }
     let error = ImageFolder::open(&[dir.path().to_owned()], None).unwrap_err().to_string();
-    assert!(error.contains("is a HEIC photo, as are 2 other files beside it"), "{error}");
+    assert!(error.contains("is a HEIC photo, as are 3.heif and 4.heic"), "{error}");
 }

@@ -216,6 +216,10 @@ fn formats_agree_on_pixels() {
         ("rgb.tif", &colours, ImageFormat::Tiff),
         ("rgb16.tiff", &rgb16, ImageFormat::Tiff),
         ("rgb.jpg", &colours, ImageFormat::Jpeg),
+        ("rgb.JFIF", &colours, ImageFormat::Jpeg),
+        ("rgb.webp", &colours, ImageFormat::WebP),
+        ("rgb.BMP", &colours, ImageFormat::Bmp),
+        ("rgb.ppm", &colours, ImageFormat::Pnm),
         // The content decides the format, not the extension.
         ("png_named.jpg", &colours, ImageFormat::Png),
     ] {
@@ -246,6 +250,8 @@ fn formats_agree_on_pixels() {
         ("grey.png", &grey, ImageFormat::Png),
         ("grey_alpha.png", &grey_with_alpha, ImageFormat::Png),
         ("grey.jpg", &grey, ImageFormat::Jpeg),
+        ("grey.pgm", &grey, ImageFormat::Pnm),
+        ("grey16.pgm", &grey16, ImageFormat::Pnm),
     ] {
         let dir = folder(&[(name, encoded(image, format))]);
         let luma = open(dir.path()).unwrap().luma(0).unwrap();
@@ -254,6 +260,51 @@ fn formats_agree_on_pixels() {
         }
         assert_eq!(open(dir.path()).unwrap().rgb(0).unwrap().data.len(), 3 * 24 * 16);
     }
+}
+
+#[test]
+fn every_format_that_is_read_is_written() {
+    let dir = tempfile::tempdir().unwrap();
+    let rgb = Rgb { width: 24, height: 16, data: gradient().into_raw() };
+    for name in ["a.jpg", "a.jpe", "a.jfif", "a.png", "a.tif", "a.webp", "a.bmp", "a.ppm", "a.pgm"]
+    {
+        rgb.write(&dir.path().join(name)).unwrap();
+        let found = Rgb::read(&dir.path().join(name)).unwrap();
+        assert_eq!((found.width, found.height), (24, 16), "{name}");
+    }
+}
+
+#[test]
+fn photos_that_are_not_read_are_named_with_what_to_do() {
+    let png = encoded(&gradient().into(), ImageFormat::Png);
+    let mut files: Vec<(String, Vec<u8>)> = vec![("0.png".to_owned(), png)];
+    // With a converted photo beside it: a pair of a camera.
+    files.push(("0.CR2".to_owned(), Vec::new()));
+    for ending in ["avif", "JP2", "jxl", "DNG", "gif", "heic", "MOV"] {
+        files.push((format!("1.{ending}"), Vec::new()));
+    }
+    files.extend((1..=12).map(|index| (format!("{index:02}.nef"), Vec::new())));
+    let files: Vec<(&str, Vec<u8>)> =
+        files.iter().map(|(name, bytes)| (name.as_str(), bytes.clone())).collect();
+    let dir = folder(&files);
+    let source = open(dir.path()).unwrap();
+    assert_eq!(names(&source), [("0.png", 0)]);
+    let why: Vec<&str> = source.skipped().iter().map(|file| file.why.as_str()).collect();
+    for expected in [
+        "1.avif: is an AVIF photo, and these are not read: convert them, as with `avifdec 1.avif \
+         1.png`",
+        "1.JP2: is a JPEG 2000 photo, and these are not read: convert them, as with \
+         `opj_decompress -i 1.JP2 -o 1.png`",
+        "`djxl 1.jxl 1.png`",
+        "01.nef: is a camera's raw file, as are 02.nef, 03.nef, 04.nef, 05.nef, 06.nef, 07.nef, \
+         08.nef, 09.nef and 4 others beside it, and these are not read: develop them",
+        "`magick 1.gif 1.png`",
+        "`heif-convert 1.heic 1.jpg`",
+        "1.MOV: is a video beside photos",
+    ] {
+        assert!(why.iter().any(|why| why.contains(expected)), "{expected}: {why:#?}");
+    }
+    assert_eq!(why.len(), 7, "{why:#?}");
 }
 
 #[test]
@@ -272,6 +323,44 @@ fn jpeg_files_of_other_programs_are_decoded() {
 }
 
 /// The grey image and the features of a file.
+/// Writes a file and reads it as an image.
+fn read_bytes(bytes: &[u8]) -> Result<Rgb, tiepoint_io::Error> {
+    let dir = folder(&[("a.jpg", bytes.to_vec())]);
+    open(dir.path()).unwrap().rgb(0)
+}
+
+#[test]
+fn a_complete_jpeg_file_needs_no_end_marker() {
+    const END: [u8; 2] = [0xFF, 0xD9];
+    // Detail everywhere, so that every block has codes.
+    let value = |x: u32, y: u32| (x * 97 + y * 61 + x * y * 13) as u8;
+    let image = RgbImage::from_fn(40, 24, |x, y| Pixel([value(x, y), value(y, x), 90]));
+    let colour = encoded(&image.clone().into(), ImageFormat::Jpeg);
+    let grey = encoded(&DynamicImage::from(image).to_luma8().into(), ImageFormat::Jpeg);
+    let progressive = include_bytes!("../data/gradient_progressive.jpg").to_vec();
+    for (kind, bytes) in [("colour", colour), ("grey", grey), ("progressive", progressive)] {
+        assert_eq!(bytes[bytes.len() - 2..], END, "{kind}");
+        let whole = read_bytes(&bytes).unwrap();
+        let without = &bytes[..bytes.len() - 2];
+        let half_a_marker = [without, &[0xFF]].concat();
+        let unwritten = |fill: u8| [without, &[fill; 700]].concat();
+        for complete in [without, &half_a_marker, &unwritten(0x00), &unwritten(0xFF)] {
+            assert_eq!(read_bytes(complete).unwrap(), whole, "{kind}");
+        }
+        // Cut anywhere in the scans, by a few bytes and by many, also with the rest unwritten.
+        let begin = bytes.windows(2).position(|two| two == [0xFF, 0xDA]).unwrap() + 20;
+        let cuts = (begin..without.len() - 4).step_by(7).chain([without.len() - 4]);
+        for cut in cuts {
+            for rest in [vec![], vec![0; 900]] {
+                let truncated = [&bytes[..cut], &rest].concat();
+                let found = read_bytes(&truncated).map(|image| image.width);
+                let error = found.unwrap_err().to_string();
+                assert!(error.contains("the JPEG data is truncated"), "{kind} {cut}: {error}");
+            }
+        }
+    }
+}
+
 fn extracted(bytes: Vec<u8>) -> (Luma, Features) {
     let dir = folder(&[("a", bytes)]);
     let luma = Luma::read(&dir.path().join("a")).unwrap();
@@ -434,7 +523,7 @@ fn errors_name_damaged_images() {
     .concat();
     for (name, bytes, expected) in [
         ("empty.jpg", vec![], "is empty"),
-        ("text.jpg", b"this is no image".to_vec(), "is no JPEG, PNG or TIFF image"),
+        ("text.jpg", b"this is no image".to_vec(), "is no JPEG, PNG, TIFF, WebP, BMP or PNM image"),
         ("cut.jpg", jpeg[..jpeg.len() - 20].to_vec(), "truncated"),
         ("half.jpg", jpeg[..jpeg.len() / 2].to_vec(), "truncated"),
         ("cut.png", png[..png.len() / 2].to_vec(), "cut.png"),
@@ -470,6 +559,172 @@ fn masks_are_found_by_name_and_have_the_size_of_the_image() {
     assert!(error.contains("holds no mask: for l/1.png, `l/1.png.png` was looked for"), "{error}");
 }
 
+/// Whether exactly the left half of an image of 24 × 16 pixels is masked.
+fn left_half(mask: &Luma) -> bool {
+    let is_seen = |index: usize| index % 24 >= 12;
+    mask.data.iter().enumerate().all(|(index, value)| (*value > 0) == is_seen(index))
+}
+
+#[test]
+fn masks_of_any_kind_mask_the_same() {
+    let is_seen = |x: u32| x >= 12;
+    let of = |seen: [u8; 4], hidden: [u8; 4]| {
+        image::RgbaImage::from_fn(24, 16, |x, _| {
+            image::Rgba(if is_seen(x) { seen } else { hidden })
+        })
+    };
+    let grey = |seen: u8| {
+        DynamicImage::from(GrayImage::from_fn(24, 16, |x, _| Grey([seen * u8::from(is_seen(x))])))
+    };
+    let deep = |seen: u16| {
+        DynamicImage::from(image::ImageBuffer::<Grey<u16>, _>::from_fn(24, 16, |x, _| {
+            Grey([seen * u16::from(is_seen(x))])
+        }))
+    };
+    let white = [255; 4];
+    let photo = encoded(&gradient().into(), ImageFormat::Png);
+    for (kind, mask) in [
+        ("8 bits", grey(255)),
+        ("0 and 1", grey(1)),
+        ("16 bits", deep(u16::MAX)),
+        ("0 and 1 of 16 bits", deep(1)),
+        ("colours", DynamicImage::from(of([0, 0, 1, 255], [0, 0, 0, 255])).to_rgb8().into()),
+        ("colours and alpha", of(white, [0, 0, 0, 255]).into()),
+        ("cut-out of white", of(white, [255, 255, 255, 0]).into()),
+        ("cut-out of a photo", of([90, 80, 70, 255], [10, 20, 30, 0]).into()),
+        ("cut-out of black", of([0, 0, 0, 255], [0; 4]).into()),
+        ("soft cut-out", of([0, 0, 0, 200], [0, 0, 0, 40]).into()),
+        (
+            "cut-out of 16 bits",
+            DynamicImage::from(of(white, [255, 255, 255, 0])).to_rgba16().into(),
+        ),
+    ] {
+        let images = folder(&[("1.png", photo.clone())]);
+        let masks = folder(&[("1.png", encoded(&mask, ImageFormat::Png))]);
+        let source = ImageFolder::open(&[images.path().to_owned()], Some(masks.path())).unwrap();
+        assert!(left_half(&source.mask(0).unwrap().unwrap()), "{kind}");
+        // A photo that is cut out itself, under a mask of nothing.
+        if mask.color().has_alpha() && kind != "colours and alpha" {
+            let images = folder(&[("1.png", encoded(&mask, ImageFormat::Png))]);
+            let alone = open(images.path()).unwrap();
+            assert!(left_half(&alone.mask(0).unwrap().unwrap()), "{kind}");
+            let all = folder(&[(
+                "1.png",
+                encoded(
+                    &DynamicImage::from(GrayImage::from_pixel(24, 16, Grey([255]))),
+                    ImageFormat::Png,
+                ),
+            )]);
+            let both = ImageFolder::open(&[images.path().to_owned()], Some(all.path())).unwrap();
+            assert!(left_half(&both.mask(0).unwrap().unwrap()), "{kind}");
+        }
+    }
+    // An opaque photo has no mask.
+    let opaque = DynamicImage::from(gradient()).to_rgba8();
+    let images = folder(&[("1.png", encoded(&opaque.into(), ImageFormat::Png))]);
+    assert_eq!(open(images.path()).unwrap().mask(0).unwrap(), None);
+}
+
+#[test]
+fn masks_for_some_photos_are_noted() {
+    let png = encoded(&gradient().into(), ImageFormat::Png);
+    let photos: Vec<String> = (10..24).map(|index| format!("{index}.png")).collect();
+    let files: Vec<(&str, Vec<u8>)> =
+        photos.iter().map(|name| (name.as_str(), png.clone())).collect();
+    let images = folder(&files);
+    let of = |count: usize| -> Vec<String> {
+        let masks = folder(&files[..count]);
+        let source = ImageFolder::open(&[images.path().to_owned()], Some(masks.path())).unwrap();
+        source.notes().to_vec()
+    };
+    assert_eq!(of(14), Vec::<String>::new());
+    assert_eq!(of(12), ["2 of 14 photos have no mask and are used whole: 22.png, 23.png"]);
+    let many = &of(2)[0];
+    assert!(many.starts_with("12 of 14 photos") && many.ends_with("19.png and 4 more"), "{many}");
+}
+
+#[test]
+fn masks_stored_like_turned_photos_are_turned_like_them() {
+    let jpeg = encoded(&gradient().into(), ImageFormat::Jpeg);
+    let photo =
+        |orientation: u16| with_exif(&jpeg, &[(Tag::Orientation, Value::Short(vec![orientation]))]);
+    // Only the corner of the first stored pixels is seen.
+    let corner = DynamicImage::from(GrayImage::from_fn(24, 16, |x, y| {
+        Grey([if x < 4 && y < 4 { 255 } else { 0 }])
+    }));
+    let stored = encoded(&corner, ImageFormat::Png);
+    let turned = |orientation: u8| {
+        let mut image = corner.clone();
+        image.apply_orientation(image::metadata::Orientation::from_exif(orientation).unwrap());
+        encoded(&image, ImageFormat::Png)
+    };
+    // Whether the corner is where the photo shows its first stored pixels.
+    let fits = |source: &ImageFolder, index: usize, orientation: u8| {
+        let expected = image::load_from_memory(&turned(orientation)).unwrap().to_luma8();
+        source.mask(index).unwrap().unwrap().data == expected.into_raw()
+    };
+    let source_of = |orientations: &[u16], masks: &[Vec<u8>]| {
+        let names: Vec<String> = orientations.iter().map(|o| format!("{o}.jpg")).collect();
+        let files: Vec<(&str, Vec<u8>)> =
+            names.iter().map(String::as_str).zip(orientations.iter().map(|&o| photo(o))).collect();
+        let of_masks: Vec<(&str, Vec<u8>)> =
+            names.iter().map(String::as_str).zip(masks.iter().cloned()).collect();
+        let (images, masks) = (folder(&files), folder(&of_masks));
+        let source = ImageFolder::open(&[images.path().to_owned()], Some(masks.path())).unwrap();
+        (source, images, masks)
+    };
+    // Stored like the photos: sizes tell it for 6 and 8, and then it holds for 3.
+    let (source, _images, _masks) =
+        source_of(&[1, 3, 6, 8], &[stored.clone(), stored.clone(), stored.clone(), stored.clone()]);
+    for (index, orientation) in [(0, 1), (1, 3), (2, 6), (3, 8)] {
+        source.check_mask(index).unwrap();
+        assert!(fits(&source, index, orientation), "{orientation}");
+    }
+    assert!(source.notes()[0].starts_with("2 masks are stored like"), "{:?}", source.notes());
+    // Upright.
+    let (source, _images, _masks) = source_of(&[3, 6], &[turned(3), turned(6)]);
+    assert!(fits(&source, 0, 3) && fits(&source, 1, 6) && source.notes().is_empty());
+    // Nothing tells.
+    let (source, _images, _masks) = source_of(&[1, 3], &[stored.clone(), turned(3)]);
+    assert!(fits(&source, 1, 3));
+    assert!(source.notes()[0].contains("taken as upright: 3.jpg"), "{:?}", source.notes());
+}
+
+#[test]
+fn values_of_few_bits_in_files_of_16_are_scaled_alike_for_a_camera() {
+    type Deep = image::ImageBuffer<Grey<u16>, Vec<u16>>;
+    // Values up to 1020 of 1023, and darker ones.
+    let deep = |factor: u16| Deep::from_fn(24, 16, |x, y| Grey([factor * (4 * x + y) as u16]));
+    let png = |factor: u16| encoded(&deep(factor).into(), ImageFormat::Png);
+    let tiff = |factor: u16| encoded(&deep(factor).into(), ImageFormat::Tiff);
+    let dir = folder(&[
+        ("ten/1.png", png(1)),
+        ("ten/2.png", png(9)),
+        ("ten/3.tif", tiff(3)),
+        ("all/1.png", png(600)),
+        ("all/2.png", png(9)),
+        ("eight/1.png", encoded(&gradient().into(), ImageFormat::Png)),
+    ]);
+    let source = open(dir.path()).unwrap();
+    let brightest = |name: &str| {
+        let index = source.images().iter().position(|image| image.name == name).unwrap();
+        let (luma, rgb) = (source.luma(index).unwrap(), source.rgb(index).unwrap());
+        assert_eq!(luma.data.iter().max(), rgb.data.iter().max(), "{name}");
+        *luma.data.iter().max().unwrap()
+    };
+    let most = 4.0 * 23.0 + 15.0;
+    let expected = |factor: f64, range: f64| (255.0 * factor * most / range).round() as u8;
+    assert_eq!(brightest("ten/1.png"), expected(1.0, 1023.0));
+    assert_eq!(brightest("ten/2.png"), expected(9.0, 1023.0));
+    assert_eq!(brightest("ten/3.tif"), expected(3.0, 1023.0));
+    assert_eq!(brightest("all/1.png"), expected(600.0, 65_535.0));
+    assert_eq!(brightest("all/2.png"), expected(9.0, 65_535.0));
+    assert_eq!(
+        source.notes_on_bits(),
+        ["ten: its files of 16 bits a channel use 10, and are scaled from these to 8"]
+    );
+}
+
 #[test]
 fn timestamps_are_read_as_written() {
     let dir = tempfile::tempdir().unwrap();
@@ -493,6 +748,11 @@ fn timestamps_are_read_as_written() {
         ("image,seconds\n\na,x\n", "line 3: the time of a is not a number of seconds"),
         ("image,seconds\na,NaN\n", "line 2: the time of a is not"),
         ("image,seconds\na,1\na,2\n", "line 3: the image a is listed twice"),
+        ("image,seconds\na,1\nb,1712345678901\n", "line 3: the time of b is 1712345678901 s"),
+        ("image,seconds\na,1712345678901\n", "seconds are expected, not milliseconds"),
+        ("image,seconds\na,-1.7e15\n", "seconds are expected, not microseconds"),
+        ("image,seconds\na,1712345678901234567\n", "seconds are expected, not nanoseconds"),
+        ("image,seconds\na,1e300\n", "the time of a is 1e300 s"),
     ] {
         fs::write(&path, content).unwrap();
         let error = timestamps::read(&path).unwrap_err().to_string();

@@ -211,7 +211,8 @@ fn chosen(
     if chosen.is_empty() {
         let what = match folder.skipped().first() {
             Some(file) => format!("holds no images that can be used; first {}", file.why),
-            None => "holds no images (JPEG, PNG or TIFF) to extract features of".to_owned(),
+            None => "holds no images (JPEG, PNG, TIFF, WebP, BMP or PNM) to extract features of"
+                .to_owned(),
         };
         return Err(Error::Colmap { path: path.to_owned(), what });
     }

@@ -1,14 +1,13 @@
 //! Image pairs of one instant from two cameras of a rig, and their relative poses.
 //!
 //! Images are paired by time, each on its camera's own clock, so the clocks must agree to within
-//! half the interval between images. Without times, images with the same file name are paired.
-
-use std::collections::BTreeMap;
+//! half the interval between images. Without times, images are paired by their names.
 
 use tiepoint_rig::{RelativePose, interval_s};
 use tiepoint_scene::{CameraId, ImageId, Reconstruction};
 
 use super::candidates::rig_candidates;
+use crate::frame_names::pairs_by_name;
 use crate::timeline::images_in_time;
 
 /// Two images of one instant.
@@ -75,22 +74,18 @@ pub(crate) fn by_time(references: &[(f64, ImageId)], others: &[(f64, ImageId)]) 
     pairs
 }
 
-/// Returns the pairs of images with the same file name, sorted by that.
+/// Returns the pairs of images of one instant by their names.
 pub(crate) fn by_name(
     scene: &Reconstruction,
     references: &[ImageId],
     others: &[ImageId],
 ) -> Vec<RigPair> {
-    let file = |id: ImageId| scene.image(id).name.rsplit('/').next().unwrap_or_default();
-    let others: BTreeMap<&str, ImageId> = others.iter().map(|&id| (file(id), id)).collect();
-    let mut pairs: Vec<(&str, RigPair)> = references
-        .iter()
-        .filter_map(|&reference| {
-            Some((file(reference), RigPair { reference, other: *others.get(file(reference))? }))
-        })
-        .collect();
-    pairs.sort_by_key(|(name, _)| *name);
-    pairs.into_iter().map(|(_, pair)| pair).collect()
+    let names = |ids: &[ImageId]| -> Vec<&str> {
+        ids.iter().map(|&id| scene.image(id).name.as_str()).collect()
+    };
+    let pairs = pairs_by_name(&names(references), &names(others)).into_iter();
+    let pair = |(a, b): (usize, usize)| RigPair { reference: references[a], other: others[b] };
+    pairs.map(pair).collect()
 }
 
 /// Returns the relative poses of the pairs with two registered images, in order of time.

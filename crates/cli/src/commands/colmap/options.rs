@@ -1,11 +1,8 @@
 //! COLMAP's options: what a verb accepts, and the values that were given.
 
 use std::collections::BTreeMap;
-use std::fs;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
-
-use tiepoint_pipeline::io::require_regular_file;
 
 use super::spec::{Effect, Kind, Spec};
 use super::tables::{ALIASES, GENERAL};
@@ -121,7 +118,7 @@ impl Options {
     /// The names in the file of an option, one on a line.
     pub(super) fn lines(&self, name: &str) -> Result<Option<Vec<String>>, String> {
         let Some(path) = self.path(name) else { return Ok(None) };
-        let text = read_text(&path)?;
+        let text = text_of(&path, "list")?;
         let names = text.lines().map(str::trim).filter(|line| !line.is_empty());
         Ok(Some(names.filter(|line| !line.starts_with('#')).map(str::to_owned).collect()))
     }
@@ -196,15 +193,18 @@ fn pairs(words: &[String]) -> Result<Vec<(String, String)>, String> {
     Ok(pairs)
 }
 
-/// The text of a regular file: a pipe could keep the program waiting, a device is without end.
-fn read_text(path: &Path) -> Result<String, String> {
-    require_regular_file(path).map_err(|error| error.to_string())?;
-    fs::read_to_string(path).map_err(|cause| format!("cannot read {}: {cause}", path.display()))
+/// Longest list of names or project file, in bytes: a million names of 256 characters.
+const MAX_TEXT_BYTES: u64 = 256 << 20;
+
+/// The text of a file that an option names.
+fn text_of(path: &Path, what: &str) -> Result<String, String> {
+    tiepoint_pipeline::io::read_text(path, MAX_TEXT_BYTES, what)
+        .map_err(|error| format!("cannot read {error}"))
 }
 
 /// The options of a project file: `name=value` in sections `[Section]`.
 fn read_project(path: &str) -> Result<Vec<(String, String)>, String> {
-    let text = read_text(Path::new(path))?;
+    let text = text_of(Path::new(path), "project file")?;
     let mut section = String::new();
     let mut options = Vec::new();
     for line in text.lines().map(str::trim) {

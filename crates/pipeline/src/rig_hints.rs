@@ -1,0 +1,126 @@
+//! Why photos that look like those of cameras of one vehicle are no rig.
+
+use std::collections::BTreeMap;
+
+use tiepoint_sfm::scene::Reconstruction;
+use tiepoint_sfm::{pairs_by_name, rig_candidates, rig_pairs};
+
+use crate::sequences::prefix;
+
+/// Fewest photos of a camera of a vehicle.
+const MIN_PHOTOS: usize = 3;
+/// Cameras of a vehicle take about as many photos each: the fewest have this share of the most.
+const MIN_SHARE: f64 = 0.5;
+
+/// A sentence on photos that look like those of cameras of one vehicle, of which no frame is known:
+/// why, and what to do. `None` if nothing looks like it, or if frames are known.
+pub(crate) fn why_no_rig(scene: &Reconstruction) -> Option<String> {
+    let names: Vec<Vec<&str>> = rig_candidates(scene)
+        .values()
+        .map(|images| images.iter().map(|id| scene.image(*id).name.as_str()).collect())
+        .collect();
+    match &names[..] {
+        [] => None,
+        [photos] => cameras_in_one_folder(photos),
+        cameras => {
+            if !rig_pairs(scene).is_empty() || !are_alike(cameras.iter().map(Vec::len)) {
+                return None;
+            }
+            let folder = |names: &Vec<&str>| {
+                let folder = names.first().and_then(|name| name.rsplit_once('/'));
+                folder.map_or("", |(folder, _)| folder).to_owned()
+            };
+            let folders: Vec<String> = cameras.iter().map(folder).collect();
+            Some(format!(
+                "no rig: {} have no photos of one instant in common by times, names or numbers in \
+                names; if they are cameras of one vehicle, give times with --timestamps or the \
+                same number to the photos of an instant",
+                folders.join(", ")
+            ))
+        }
+    }
+}
+
+/// The sentence on photos of one folder whose names are those of several cameras.
+fn cameras_in_one_folder(photos: &[&str]) -> Option<String> {
+    let mut groups: BTreeMap<&str, Vec<&str>> = BTreeMap::new();
+    for name in photos {
+        groups.entry(prefix(name)).or_default().push(name);
+    }
+    let (first, others) = {
+        let mut groups = groups.values();
+        (groups.next()?, groups)
+    };
+    let have_common_numbers = others.clone().all(|other| {
+        let common = pairs_by_name(first, other).len();
+        common as f64 >= MIN_SHARE * first.len().min(other.len()) as f64
+    });
+    if others.len() == 0 || !have_common_numbers || !are_alike(groups.values().map(Vec::len)) {
+        return None;
+    }
+    let shown: Vec<String> = groups.keys().map(|prefix| format!("{prefix}*")).collect();
+    Some(format!(
+        "no rig: the photos {} of one folder are taken as those of one camera; if they are cameras \
+        of one vehicle, put the photos of each into a folder of its own",
+        shown.join(" and ")
+    ))
+}
+
+fn are_alike(counts: impl Iterator<Item = usize>) -> bool {
+    let counts: Vec<usize> = counts.collect();
+    let (Some(&least), Some(&most)) = (counts.iter().min(), counts.iter().max()) else {
+        return false;
+    };
+    least >= MIN_PHOTOS && least as f64 >= MIN_SHARE * most as f64
+}
+
+#[cfg(test)]
+mod tests {
+    use tiepoint_sfm::geometry::{CameraModelKind, Intrinsics};
+    use tiepoint_sfm::scene::{Camera, Image};
+
+    use super::*;
+
+    /// The sentence on cameras with photos of these names.
+    fn why(cameras: &[&[&str]]) -> Option<String> {
+        let mut scene = Reconstruction::default();
+        let intrinsics = Intrinsics::centred(CameraModelKind::SimplePinhole, 500.0, 640, 480);
+        for names in cameras {
+            let camera = scene.add_camera(Camera {
+                intrinsics,
+                width: 640,
+                height: 480,
+                has_focal_prior: true,
+            });
+            for name in *names {
+                scene.add_image(Image::new(*name, camera, Vec::new()));
+            }
+        }
+        why_no_rig(&scene)
+    }
+
+    #[test]
+    fn folders_without_frames_are_named_with_what_to_do() {
+        let left: &[&str] = &["left/a1.png", "left/a2.png", "left/a3.png"];
+        let later: &[&str] = &["right/b7.png", "right/b8.png", "right/b9.png"];
+        let alike: &[&str] = &["right/b1.png", "right/b2.png", "right/b3.png"];
+        let found = why(&[left, later]).unwrap();
+        assert!(found.contains("left, right") && found.contains("--timestamps"), "{found}");
+        assert_eq!(why(&[left, alike]), None);
+        assert_eq!(why(&[left, &later[..2]]), None, "too few");
+        assert_eq!(why(&[left]), None);
+        assert_eq!(why(&[]), None);
+    }
+
+    #[test]
+    fn cameras_in_one_folder_are_named_with_what_to_do() {
+        let flat: Vec<String> = (0..8).map(|k| format!("cam{}_{:03}.png", k % 2, k / 2)).collect();
+        let flat: Vec<&str> = flat.iter().map(String::as_str).collect();
+        let found = why(&[&flat]).unwrap();
+        assert!(found.contains("cam0_* and cam1_*"), "{found}");
+        assert!(found.contains("a folder of its own"), "{found}");
+        // Photos of two days, and one camera.
+        let days: Vec<String> = (0..8).map(|k| format!("day{}_{:03}.png", k / 4, k)).collect();
+        assert_eq!(why(&[&days.iter().map(String::as_str).collect::<Vec<_>>()]), None);
+    }
+}
