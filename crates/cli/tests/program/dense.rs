@@ -216,7 +216,7 @@ fn dense_names_what_is_missing() {
     let small = image::open(&first).unwrap().thumbnail(50, 50);
     small.save(&first).unwrap();
     let name = first.file_name().unwrap().to_str().unwrap();
-    tiepoint_in(dir, "dense {}/ws --redo dense").failed(1, &[name, "pixels"]);
+    tiepoint_in(dir, "dense {}/ws --redo dense").failed(1, &[name, "is not the photo"]);
     fs::remove_dir_all(dir.join("photos")).unwrap();
     tiepoint_in(dir, "dense {}/ws --redo dense").failed(1, &["photos"]);
     assert!(results(&dir.join("ws")) == old, "failed runs have changed the dense workspace");
