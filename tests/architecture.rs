@@ -47,12 +47,15 @@ const PURE: &[&str] = &[
 /// a dependency of kiddo, on powerpc64.
 const ASSEMBLERS: &[&str] = &["generator"];
 
+/// Packages of declarations of system calls alone, for crates that call the system itself.
+const DECLARATIONS: &[&str] = &["linux-raw-sys", "windows-sys"];
+
 /// Crates that tests of all crates may use: synthetic scenes and evaluation.
 const FOR_TESTS: &[&str] = &["synth", "eval"];
 
 /// Whether a package compiles or links C code.
 fn is_c(package: &str) -> bool {
-    package.ends_with("-sys")
+    package.ends_with("-sys") && !DECLARATIONS.contains(&package)
         || ["cc", "cmake", "bindgen", "pkg-config", "vcpkg"].contains(&package)
 }
 
