@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""PoseLib's gp3p on the problems of `cargo bench -p tiepoint-geometry -- gp3p`.
+"""PoseLib's gp3p on the problems of the benchmark of ours (bench/criterion, `geometry`, `gp3p`).
 
     pip install numpy poselib
     python bench/gp3p.py [--problems 20000]

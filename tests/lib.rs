@@ -4,6 +4,7 @@
 #![allow(clippy::unwrap_used)]
 
 mod architecture;
+mod functions;
 mod lines;
 mod metadata;
 mod modules;

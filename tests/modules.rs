@@ -7,20 +7,36 @@
 
 mod graph;
 mod source;
-mod tokens;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use graph::{Edges, Files, edges};
 
-/// Descriptions of the cycles of a crate with the folder `src`: the files of each cycle, and the
-/// edges between them with a line of code each.
+/// Descriptions of the cycles of a crate with the folder `src`, between its files and between its
+/// top-level folders: the members of each cycle, and the edges between them with a line of code
+/// each.
 pub(crate) fn cycles_in(src: &Path) -> Vec<String> {
-    cycles(&edges(&files_below(src)))
+    let edges = edges(&files_below(src));
+    [cycles(&edges), cycles(&between_folders(&edges))].concat()
 }
 
-fn files_below(src: &Path) -> Files {
+/// The edges between different top-level folders. Files beside `lib.rs` are in none.
+fn between_folders(edges: &Edges) -> Edges {
+    let folder = |file: &str| file.split_once('/').map(|(folder, _)| folder.to_owned());
+    let mut found = Edges::new();
+    for ((user, provider), place) in edges {
+        if let (Some(from), Some(to)) = (folder(user), folder(provider))
+            && from != to
+        {
+            found.entry((from, to)).or_insert_with(|| place.clone());
+        }
+    }
+    found
+}
+
+/// The texts of the Rust files below a folder by their paths in it.
+pub(crate) fn files_below(src: &Path) -> Files {
     let mut files = Files::new();
     let mut folders = vec![src.to_owned()];
     while let Some(folder) = folders.pop() {
@@ -39,7 +55,7 @@ fn files_below(src: &Path) -> Files {
     files
 }
 
-/// Strongly connected components of more than one file.
+/// Strongly connected components of more than one member.
 fn cycles(edges: &Edges) -> Vec<String> {
     let mut uses: BTreeMap<&str, BTreeSet<&str>> = BTreeMap::new();
     for (user, provider) in edges.keys() {
@@ -58,10 +74,10 @@ fn cycles(edges: &Edges) -> Vec<String> {
         if !seen.insert(cycle.clone()) {
             continue;
         }
-        let mut text = format!("{} files in a cycle: {cycle:?}", cycle.len());
+        let mut text = format!("{} in a cycle: {cycle:?}", cycle.len());
         for ((user, provider), place) in edges {
             if cycle.contains(user.as_str()) && cycle.contains(provider.as_str()) {
-                text += &format!("\n  {user} -> {provider} ({user}:{place})");
+                text += &format!("\n  {user} -> {provider} ({place})");
             }
         }
         found.push(text);
@@ -129,10 +145,32 @@ mod tests {
         let cycles = cycles(&found);
         assert_eq!(cycles.len(), 1, "{cycles:?}");
         assert!(
-            cycles[0].starts_with(r#"3 files in a cycle: {"a/inner.rs", "a/mod.rs", "b.rs"}"#),
+            cycles[0].starts_with(r#"3 in a cycle: {"a/inner.rs", "a/mod.rs", "b.rs"}"#),
             "{cycles:?}"
         );
         assert!(cycles[0].contains("b.rs -> a/mod.rs (b.rs:1: crate::Outer::f)"), "{cycles:?}");
+    }
+
+    /// No two files use each other here.
+    #[test]
+    fn cycles_of_folders_are_found() {
+        let found = edges(&files(&[
+            ("lib.rs", "mod a; mod b; mod c; pub use a::x::f;"),
+            ("a/mod.rs", "pub mod x; pub mod y;"),
+            ("a/x.rs", "pub fn f() { crate::b::w::g() }"),
+            ("a/y.rs", "pub fn h() { crate::c::i() }"),
+            ("b/mod.rs", "pub mod w; pub mod z;"),
+            ("b/w.rs", "pub fn g() {}"),
+            ("b/z.rs", "fn j() { crate::a::y::h() }"),
+            ("c.rs", "pub fn i() { crate::b::w::g() }"),
+        ]));
+        assert_eq!(cycles(&found), [""; 0]);
+        assert_eq!(
+            cycles(&between_folders(&found)),
+            ["2 in a cycle: {\"a\", \"b\"}\n  \
+            a -> b (a/x.rs:1: crate::b::w::g)\n  \
+            b -> a (b/z.rs:1: crate::a::y::h)"]
+        );
     }
 
     /// Re-exports, a module and a function with the same name, macros, glob imports and inline

@@ -1,315 +1,223 @@
-//! A parser for the declarations, imports and paths in a file of Rust source.
+//! The declarations, imports and paths of a module, as syn parses them. Code for tests is left out.
 
-use super::tokens::{Kind, Token, tokens};
+use std::collections::{BTreeMap, BTreeSet};
 
-/// A path in the source, with the line on which it begins.
-#[derive(Clone, Debug, PartialEq)]
-pub(super) struct Path {
-    pub(super) segments: Vec<String>,
-    pub(super) line: usize,
-}
+use proc_macro2::{Ident, Punct, Spacing, TokenStream, TokenTree};
+use syn::visit::{self, Visit};
+use syn::{Attribute, UseTree};
+
+/// The segments of a path. One that begins with `::` has an empty first segment.
+pub(super) type Path = Vec<String>;
 
 /// A name that a `use` declaration imports.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub(super) struct Import {
     pub(super) path: Path,
     /// `*` for a glob import.
     pub(super) name: String,
+    pub(super) line: usize,
 }
 
 /// The content of a module, in a file of its own or inline.
-#[derive(Debug, Default)]
+#[derive(Default)]
 pub(super) struct Source {
-    /// `mod name;`
-    pub(super) files: Vec<String>,
-    /// `mod name { … }`
-    pub(super) inline: Vec<(String, Source)>,
+    /// Modules inside, without a content if they have files of their own.
+    pub(super) modules: Vec<(String, Option<Source>)>,
     pub(super) imports: Vec<Import>,
     /// Names of types, functions and other items.
-    pub(super) items: Vec<String>,
+    pub(super) items: BTreeSet<String>,
     /// Names of `macro_rules!` with `#[macro_export]`.
     pub(super) exported_macros: Vec<String>,
-    /// Whether a macro is called at module level, which may define any name.
+    /// Whether a macro is called in place of an item, which may define any name.
     pub(super) calls_macros: bool,
-    /// Paths outside imports.
-    pub(super) paths: Vec<Path>,
-    /// All words with their lines, which may be names of glob imports.
-    pub(super) words: Vec<(String, usize)>,
+    /// Paths outside imports, also single names, with the line of the first occurrence.
+    pub(super) paths: BTreeMap<Path, usize>,
 }
 
-/// Keywords before the name of an item.
-const ITEMS: [&str; 9] =
-    ["struct", "enum", "union", "trait", "fn", "const", "static", "type", "macro_rules"];
-/// Other keywords that an item may begin with.
-const ITEM_STARTS: [&str; 6] = ["mod", "use", "impl", "unsafe", "extern", "async"];
-
-/// Parses a file. Code for tests is left out.
-pub(super) fn read(text: &str) -> Source {
-    let tokens = tokens(text);
-    let mut reader = Reader { tokens: &tokens, at: 0 };
-    let source = reader.module();
-    assert_eq!(reader.at, tokens.len(), "line {:?}: an unmatched bracket", reader.line());
-    source
+/// Parses a file.
+pub(super) fn read(text: &str) -> syn::Result<Source> {
+    let mut source = Source::default();
+    source.visit_file(&syn::parse_file(text)?);
+    Ok(source)
 }
 
-struct Reader<'a> {
-    tokens: &'a [Token<'a>],
-    at: usize,
-}
-
-impl<'a> Reader<'a> {
-    /// Kind of the token `ahead` tokens after the next one.
-    fn peek(&self, ahead: usize) -> Option<Kind<'a>> {
-        self.tokens.get(self.at + ahead).map(|token| token.kind)
-    }
-
-    /// Line of the next token, or of the last one at the end of the file.
-    fn line(&self) -> usize {
-        self.tokens.get(self.at).or(self.tokens.last()).map_or(0, |token| token.line)
-    }
-
-    fn word(&self, ahead: usize) -> Option<&'a str> {
-        match self.peek(ahead) {
-            Some(Kind::Word(word)) => Some(word),
-            _ => None,
-        }
-    }
-
-    fn is(&self, ahead: usize, character: char) -> bool {
-        self.peek(ahead) == Some(Kind::Punctuation(character))
-    }
-
-    /// Skips the next token if it is this character.
-    fn take(&mut self, character: char) -> bool {
-        let is_there = self.is(0, character);
-        self.at += usize::from(is_there);
-        is_there
-    }
-
-    /// Parses to the end of the file or the module.
-    fn module(&mut self) -> Source {
-        let mut source = Source::default();
-        let mut depth = 0;
-        let mut exports_macro = false;
-        while let Some(kind) = self.peek(0) {
-            match kind {
-                Kind::Punctuation('#')
-                    if self.is(1, '[') || (self.is(1, '!') && self.is(2, '[')) =>
-                {
-                    let words = self.attribute();
-                    exports_macro |= words.contains(&"macro_export");
-                    if is_for_tests(&words) {
-                        self.skip_item();
-                    }
-                }
-                Kind::Punctuation(open @ ('{' | '(' | '[')) => {
-                    let after_bang =
-                        self.at > 0 && self.tokens[self.at - 1].kind == Kind::Punctuation('!');
-                    source.calls_macros |= depth == 0 && after_bang && open != '[';
-                    depth += 1;
-                    self.at += 1;
-                }
-                Kind::Punctuation('}' | ')' | ']') if depth == 0 => return source,
-                Kind::Punctuation('}' | ')' | ']') => {
-                    depth -= 1;
-                    self.at += 1;
-                }
-                Kind::Word("pub") if self.is(1, '(') => {
-                    // `pub(in super::super)` is no dependency.
-                    self.at += 1;
-                    self.skip_group();
-                }
-                Kind::Word("mod") if self.word(1).is_some() => self.submodule(&mut source),
-                Kind::Word("use") if !self.is(1, '<') => {
-                    self.at += 1;
-                    self.imports(&mut Vec::new(), &mut source.imports);
-                    assert!(self.take(';'), "line {}: an import that does not end", self.line());
-                }
-                Kind::Word(word) => {
-                    if depth == 0 && ITEMS.contains(&word) {
-                        let name =
-                            (1..3).find_map(|ahead| self.word(ahead).filter(|name| *name != "mut"));
-                        let names = if exports_macro && word == "macro_rules" {
-                            &mut source.exported_macros
-                        } else {
-                            &mut source.items
-                        };
-                        names.extend(name.map(str::to_owned));
-                        exports_macro = false;
-                    }
-                    self.path(&mut source);
-                }
-                _ => self.at += 1,
-            }
-        }
-        source
-    }
-
-    /// Skips an attribute `#[…]` and returns its words.
-    fn attribute(&mut self) -> Vec<&'a str> {
-        self.at += if self.is(1, '!') { 2 } else { 1 };
-        let from = self.at;
-        self.skip_group();
-        let words = self.tokens[from..self.at].iter().filter_map(|token| match token.kind {
-            Kind::Word(word) => Some(word),
-            _ => None,
-        });
-        words.collect()
-    }
-
-    /// Skips from an opening bracket to behind the matching closing one.
-    fn skip_group(&mut self) {
-        let mut depth = 0;
-        while let Some(kind) = self.peek(0) {
-            depth += match kind {
-                Kind::Punctuation('{' | '(' | '[') => 1,
-                Kind::Punctuation('}' | ')' | ']') => -1,
-                _ => 0,
-            };
-            self.at += 1;
-            if depth == 0 {
-                return;
-            }
-        }
-    }
-
-    /// Skips an item or statement, or a field, argument or match arm, which may end with a comma.
-    fn skip_item(&mut self) {
-        while self.is(0, '#') {
-            self.attribute();
-        }
-        if self.word(0) == Some("pub") {
-            self.at += 1;
-            if self.is(0, '(') {
-                self.skip_group();
-            }
-        }
-        let is_item =
-            self.word(0).is_some_and(|word| ITEMS.contains(&word) || ITEM_STARTS.contains(&word));
-        let is_import = self.word(0) == Some("use");
-        while let Some(kind) = self.peek(0) {
-            match kind {
-                Kind::Punctuation('}' | ')' | ']') => return,
-                Kind::Punctuation('{') => {
-                    self.skip_group();
-                    if !is_import {
-                        // `= [const { … }, …];`
-                        self.take(';');
-                        return;
-                    }
-                }
-                Kind::Punctuation('(' | '[') => self.skip_group(),
-                Kind::Punctuation(';') => {
-                    self.at += 1;
-                    return;
-                }
-                Kind::Punctuation(',') if !is_item => {
-                    self.at += 1;
-                    return;
-                }
-                _ => self.at += 1,
-            }
-        }
-    }
-
-    fn submodule(&mut self, source: &mut Source) {
-        let name = self.word(1).expect("a name was seen").to_owned();
-        self.at += 2;
-        if self.take(';') {
-            source.files.push(name);
-        } else {
-            assert!(
-                self.take('{'),
-                "line {}: mod {name} has neither a file nor a body",
-                self.line()
-            );
-            let inner = self.module();
-            assert!(self.take('}'), "line {}: mod {name} does not end", self.line());
-            source.inline.push((name, inner));
-        }
-    }
-
-    /// Parses a tree of imports below `prefix`.
-    fn imports(&mut self, prefix: &mut Vec<String>, into: &mut Vec<Import>) {
-        let (depth, line) = (prefix.len(), self.line());
-        if self.peek(0) == Some(Kind::Colons) {
-            // `::name` is another crate, whatever this one holds.
-            prefix.push(String::new());
-            self.at += 1;
-        }
-        loop {
-            if self.take('{') {
-                while !self.take('}') {
-                    self.imports(prefix, into);
-                    self.take(',');
-                }
-                break;
-            }
-            let name = if self.take('*') {
-                "*".to_owned()
-            } else {
-                let word =
-                    self.word(0).unwrap_or_else(|| panic!("line {line}: an import without a name"));
-                self.at += 1;
-                // `a::{self}` is `a`.
-                if word != "self" || prefix.is_empty() {
-                    prefix.push(word.to_owned());
-                }
-                if self.peek(0) == Some(Kind::Colons) {
-                    self.at += 1;
-                    continue;
-                }
-                let renamed = (self.word(0) == Some("as")).then(|| self.word(1)).flatten();
-                self.at += if renamed.is_some() { 2 } else { 0 };
-                renamed.unwrap_or(prefix.last().expect("a name was pushed")).to_owned()
-            };
-            into.push(Import { path: Path { segments: prefix.clone(), line }, name });
-            break;
-        }
-        prefix.truncate(depth);
-    }
-
-    /// Parses a word and the path that it begins.
-    fn path(&mut self, source: &mut Source) {
-        let line = self.line();
-        let continues = self.at > 0 && self.tokens[self.at - 1].kind == Kind::Colons;
-        let mut segments = Vec::new();
-        while let Some(word) = self.word(0) {
-            source.words.push((word.to_owned(), line));
-            segments.push(word.to_owned());
-            self.at += 1;
-            if self.peek(0) != Some(Kind::Colons) || self.word(1).is_none() {
-                break;
-            }
-            self.at += 1;
-        }
-        // A path after `::` without a name before it is that of another crate, or an item of a
-        // generic type.
-        if segments.len() > 1 && !continues {
-            source.paths.push(Path { segments, line });
-        }
-    }
+fn text(ident: &Ident) -> String {
+    ident.to_string().trim_start_matches("r#").to_owned()
 }
 
 /// Whether an attribute marks code for tests: `cfg(test)`, `cfg(all(test, …))`.
-fn is_for_tests(words: &[&str]) -> bool {
-    words.first() == Some(&"cfg")
-        && words
-            .iter()
-            .zip(words.iter().skip(1))
-            .any(|(before, word)| *word == "test" && *before != "not")
-        && !words.contains(&"any")
+fn is_for_tests(attributes: &[Attribute]) -> bool {
+    let mut conditions = attributes.iter().filter(|attribute| attribute.path().is_ident("cfg"));
+    conditions.any(|condition| {
+        let syn::Meta::List(list) = &condition.meta else { return false };
+        let tokens = list.tokens.to_string().replace(' ', "");
+        let mut words = tokens.split(['(', ')', ',']);
+        words.any(|word| word == "test")
+            && ["not(test", "any("].iter().all(|other| !tokens.contains(other))
+    })
+}
+
+impl Source {
+    fn add_imports(&mut self, tree: &UseTree, prefix: &mut Path) {
+        let (ident, name) = match tree {
+            UseTree::Path(path) => {
+                prefix.push(text(&path.ident));
+                self.add_imports(&path.tree, prefix);
+                prefix.pop();
+                return;
+            }
+            UseTree::Group(group) => {
+                return group.items.iter().for_each(|tree| self.add_imports(tree, prefix));
+            }
+            UseTree::Glob(glob) => {
+                let line = glob.star_token.span.start().line;
+                let (path, name) = (prefix.clone(), "*".to_owned());
+                return self.imports.push(Import { path, name, line });
+            }
+            UseTree::Name(name) => (&name.ident, &name.ident),
+            UseTree::Rename(rename) => (&rename.ident, &rename.rename),
+        };
+        let mut path = prefix.clone();
+        // `a::{self}` is `a`.
+        if ident != "self" || path.is_empty() {
+            path.push(text(ident));
+        }
+        let name = if name == "self" { path[path.len() - 1].clone() } else { text(name) };
+        self.imports.push(Import { path, name, line: ident.span().start().line });
+    }
+
+    /// The paths in what a macro is given, or expands to.
+    fn add_tokens(&mut self, tokens: TokenStream) {
+        let (mut path, mut line, mut colons) = (Path::new(), 0, 0);
+        // A token that is in no path ends the last one.
+        let end: TokenTree = Punct::new(';', Spacing::Alone).into();
+        for token in tokens.into_iter().chain([end]) {
+            let is_colon = matches!(&token, TokenTree::Punct(mark) if mark.as_char() == ':');
+            if is_colon {
+                colons += 1;
+                continue;
+            }
+            let continues = colons == 2 && matches!(token, TokenTree::Ident(_));
+            if !continues && !path.is_empty() {
+                self.paths.entry(std::mem::take(&mut path)).or_insert(line);
+            }
+            match token {
+                // A path after `::` without a name before it is that of another crate, or an item
+                // of a generic type.
+                TokenTree::Ident(name) if !continues || !path.is_empty() => {
+                    line = if continues { line } else { name.span().start().line };
+                    path.push(text(&name));
+                }
+                TokenTree::Group(group) => self.add_tokens(group.stream()),
+                _ => {}
+            }
+            colons = 0;
+        }
+    }
+}
+
+/// Visits nodes that are not for tests, and adds the names of those that are items.
+macro_rules! visit_unless_for_tests {
+    ($($visit:ident $Node:ident $(($($name:ident).+))?;)*) => {$(
+        fn $visit(&mut self, node: &'a syn::$Node) {
+            if !is_for_tests(&node.attrs) {
+                $(self.items.insert(text(&node.$($name).+));)?
+                visit::$visit(self, node);
+            }
+        }
+    )*};
+}
+
+impl<'a> Visit<'a> for Source {
+    visit_unless_for_tests! {
+        visit_item_const ItemConst (ident);
+        visit_item_enum ItemEnum (ident);
+        visit_item_fn ItemFn (sig.ident);
+        visit_item_impl ItemImpl;
+        visit_item_static ItemStatic (ident);
+        visit_item_struct ItemStruct (ident);
+        visit_item_trait ItemTrait (ident);
+        visit_item_type ItemType (ident);
+        visit_item_union ItemUnion (ident);
+        visit_impl_item_const ImplItemConst;
+        visit_impl_item_fn ImplItemFn;
+        visit_field Field;
+        visit_variant Variant;
+        visit_field_value FieldValue;
+        visit_arm Arm;
+        visit_local Local;
+        visit_expr_if ExprIf;
+        visit_expr_block ExprBlock;
+    }
+
+    fn visit_item_mod(&mut self, item: &'a syn::ItemMod) {
+        if !is_for_tests(&item.attrs) {
+            let inner = item.content.as_ref().map(|(_, items)| {
+                let mut source = Source::default();
+                items.iter().for_each(|item| source.visit_item(item));
+                source
+            });
+            self.modules.push((text(&item.ident), inner));
+        }
+    }
+
+    fn visit_item_use(&mut self, item: &'a syn::ItemUse) {
+        if !is_for_tests(&item.attrs) {
+            // `::name` is another crate, whatever this one holds.
+            let mut prefix = item.leading_colon.iter().map(|_| String::new()).collect();
+            self.add_imports(&item.tree, &mut prefix);
+        }
+    }
+
+    fn visit_item_macro(&mut self, item: &'a syn::ItemMacro) {
+        if is_for_tests(&item.attrs) {
+            return;
+        }
+        let is_exported = item.attrs.iter().any(|it| it.path().is_ident("macro_export"));
+        match &item.ident {
+            Some(name) if is_exported => self.exported_macros.push(text(name)),
+            Some(name) => _ = self.items.insert(text(name)),
+            None => self.calls_macros = true,
+        }
+        self.visit_macro(&item.mac);
+    }
+
+    fn visit_path(&mut self, path: &'a syn::Path) {
+        // `::a` is another crate, and `<T>::a` an item of a type.
+        if path.leading_colon.is_none() {
+            let line = path.segments[0].ident.span().start().line;
+            let segments = path.segments.iter().map(|segment| text(&segment.ident));
+            self.paths.entry(segments.collect()).or_insert(line);
+        }
+        visit::visit_path(self, path);
+    }
+
+    /// A pattern may be the name of a constant.
+    fn visit_pat_ident(&mut self, pattern: &'a syn::PatIdent) {
+        let line = pattern.ident.span().start().line;
+        self.paths.entry(vec![text(&pattern.ident)]).or_insert(line);
+        visit::visit_pat_ident(self, pattern);
+    }
+
+    fn visit_token_stream(&mut self, tokens: &'a TokenStream) {
+        self.add_tokens(tokens.clone());
+    }
+
+    /// The links in documentation are no dependencies.
+    fn visit_attribute(&mut self, _: &'a Attribute) {}
+
+    /// `pub(in super::super)` is no dependency.
+    fn visit_vis_restricted(&mut self, _: &'a syn::VisRestricted) {}
 }
 
 #[test]
 fn nested_imports_are_parsed() {
     let source = read(
         "use crate::a::{self, b::{C as D, e}, f::*};\n pub(crate) use super::super::g;\n use \
-        ::std::h;\n \
-         use self::i as _;",
+        ::std::h;\n use self::i as _;",
     );
-    let shown = |import: &Import| format!("{} {}", import.path.segments.join("::"), import.name);
-    let found: Vec<_> = source.imports.iter().map(shown).collect();
+    let shown = |import: &Import| format!("{} {}", import.path.join("::"), import.name);
+    let found: Vec<_> = source.unwrap().imports.iter().map(shown).collect();
     assert_eq!(
         found,
         [
@@ -333,14 +241,18 @@ fn code_for_tests_is_left_out() {
          crate::h::i() }\n\
          #[cfg(all(test, unix))] use crate::{j, k};\n\
          struct S { #[cfg(test)] pub(crate) a: crate::l::M, b: crate::n::O }\n\
-         mod inner { pub(in super::super) const P: u8 = super::q::R; }",
-    );
+         mod inner { pub(in super::super) const P: u8 = super::q::R; }\n\
+         m! { /* crate::s */ \"crate::t\" crate::u::<crate::v>::w [::x, crate :: y!(z)] }",
+    )
+    .unwrap();
     let paths = |source: &Source| -> Vec<String> {
-        source.paths.iter().map(|path| path.segments.join("::")).collect()
+        source.paths.keys().filter(|it| it.len() > 1).map(|it| it.join("::")).collect()
     };
-    assert_eq!(paths(&source), ["crate::d::e", "crate::h::i", "crate::n::O"]);
-    assert_eq!(paths(&source.inline[0].1), ["super::q::R"]);
-    assert!(source.files.is_empty() && source.imports.is_empty());
-    assert_eq!(source.items, ["g", "S"]);
-    assert_eq!(source.inline[0].1.items, ["P"]);
+    let found = ["crate::d::e", "crate::h::i", "crate::n::O", "crate::u", "crate::v", "crate::y"];
+    assert_eq!(paths(&source), found);
+    let (_, Some(inner)) = &source.modules[0] else { panic!("it is inline") };
+    assert_eq!(paths(inner), ["super::q::R"]);
+    assert!(source.modules.len() == 1 && source.imports.is_empty() && source.calls_macros);
+    assert_eq!(source.items, BTreeSet::from(["g", "S"].map(str::to_owned)));
+    assert_eq!(inner.items, BTreeSet::from(["P".to_owned()]));
 }

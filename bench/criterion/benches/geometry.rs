@@ -1,6 +1,5 @@
-//! Time and accuracy of every solver of the table: `cargo bench -p tiepoint-geometry`. The accuracy
-//! is over 10,000 problems, or over the number in the environment variable `TRIALS`.
-#![allow(missing_docs, clippy::print_stdout)]
+//! Time and accuracy of every solver of the table. The accuracy is over 10,000 problems, or over
+//! the number in the environment variable `TRIALS`.
 
 use std::hint::black_box;
 use std::time::Instant;
