@@ -7,7 +7,7 @@ use crate::{
 };
 
 /// Options of [`reconstruct`].
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Options {
     /// A database of another program whose features are taken in place of stage 1, and whose pairs,
     /// if it has any, in place of stage 2.
@@ -27,21 +27,6 @@ pub struct Options {
     pub dense: Option<DenseOptions>,
     /// Runs this stage and the later ones again, even if they are complete.
     pub redo: Option<Stage>,
-}
-
-impl Default for Options {
-    fn default() -> Self {
-        Self {
-            database: None,
-            features: FeatureOptions::default(),
-            masks: None,
-            every: None,
-            matching: MatchOptions::default(),
-            mapping: MapOptions::default(),
-            dense: None,
-            redo: None,
-        }
-    }
 }
 
 /// Runs all stages: photos or videos in, a COLMAP project out. Complete stages with the same input
