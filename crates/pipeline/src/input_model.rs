@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use tiepoint_io::colmap::read_model;
 use tiepoint_sfm::scene::Reconstruction;
-use tiepoint_sfm::{self as sfm, MapperOptions, RigTerm, Transferred, transfer_model};
+use tiepoint_sfm::{self as sfm, MapperOptions, RigMode, Transferred, transfer_model};
 
 use crate::export::model_files;
 use crate::fingerprint::of_contents;
@@ -66,17 +66,17 @@ impl OpenedModel {
     /// An option needs poses or a gauge other than those of the model.
     pub(crate) fn options(&self, mut options: MapperOptions) -> Result<MapperOptions, Error> {
         if self.fix_existing_frames {
-            if options.rig == RigTerm::Auto {
-                options.rig = RigTerm::Off;
+            if options.rig == RigMode::Auto {
+                options.rig = RigMode::Off;
             }
-            if options.rig != RigTerm::Off {
+            if options.rig != RigMode::Off {
                 return Err(Error::MovesPoses { option: "--rig", with: "--fix-existing-frames" });
             }
             if options.readout.is_some() {
                 let option = "--rolling-shutter";
                 return Err(Error::MovesPoses { option, with: "--fix-existing-frames" });
             }
-        } else if options.rig == RigTerm::Paper {
+        } else if options.rig == RigMode::Paper {
             return Err(Error::MovesPoses { option: "--rig paper", with: "--input-model" });
         }
         Ok(options)

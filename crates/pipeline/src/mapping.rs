@@ -12,7 +12,7 @@ use tiepoint_io::{ImageFolder, ply, timestamps};
 use tiepoint_sfm::scene::{Camera, CameraId, CorrespondenceGraph, Image, ImageId, Reconstruction};
 use tiepoint_sfm::{
     self as sfm, Existing, Failure, MappedModel, MapperOptions, OptionalStage, RefineIntrinsics,
-    RigTerm, VerifyOptions, rig_candidates, rig_pairs,
+    RigMode, VerifyOptions, rig_candidates, rig_pairs,
 };
 
 use crate::camera_facts::CameraFacts;
@@ -135,9 +135,9 @@ pub fn map(
         return Err(no_overlap(workspace, required)?);
     }
     match options.rig {
-        RigTerm::Off | RigTerm::Auto => {}
+        RigMode::Off | RigMode::Auto => {}
         _ if known_rigs.is_some() => {}
-        term => require_synchronous_images(workspace, &scene, term)?,
+        mode => require_synchronous_images(workspace, &scene, mode)?,
     }
     if options.readout.is_some() && !is_timed(&scene) {
         return Err(Error::NoTimedSequence { path: workspace.root().to_owned() });
@@ -201,18 +201,18 @@ pub fn map(
     let is_known = known_rigs.is_some();
     let reports = reports.map(|(index, (model, scale))| {
         let has_failed = model.failures.iter().any(|failure| failure.stage == OptionalStage::Rig);
-        let term = if is_known { RigTerm::Off } else { options.rig };
+        let mode = if is_known { RigMode::Off } else { options.rig };
         let metres_per_unit = scale.as_ref().and_then(|scale| scale.factor).unwrap_or(1.0);
         ModelReport {
             scale,
             loop_pairs: model.num_loop_pairs,
             failed: model.failures.iter().map(|failure| describe(failure, is_known)).collect(),
-            rig: RigReport::new(term, is_known && !has_failed, model, metres_per_unit),
+            rig: RigReport::new(mode, is_known && !has_failed, model, metres_per_unit),
             ..ModelReport::new(model_path(index), &model.reconstruction, &model.shutters)
         }
     });
     let reports: Vec<ModelReport> = reports.collect();
-    let may_be_rig = options.rig != RigTerm::Off && !is_known;
+    let may_be_rig = options.rig != RigMode::Off && !is_known;
     let notes: Vec<String> = match models.first() {
         Some(first) if may_be_rig && reports.iter().all(|report| report.rig.is_none()) => {
             why_no_rig(&first.reconstruction).into_iter().collect()
@@ -224,8 +224,8 @@ pub fn map(
     }
     let seconds = start.elapsed().as_secs_f64();
     let removed: Vec<String> = replaced.into_iter().filter(|name| !staged.contains(name)).collect();
-    // Behind all that may fail, and before the stage is complete: a later run repairs what an
-    // interruption leaves.
+    // The rigs are written after every step that may fail, and before the stage is marked as
+    // complete: after an interruption, a later run repeats the stage and writes them again.
     if let Some(first) = models.first()
         && let Err(error) = write_rigs(workspace, &first.reconstruction)
         && !is_imported
@@ -407,9 +407,9 @@ pub(crate) fn translate<'a>(
 fn require_synchronous_images(
     workspace: &Workspace,
     scene: &Reconstruction,
-    term: RigTerm,
+    mode: RigMode,
 ) -> Result<(), Error> {
-    let has_times = term != RigTerm::Paper
+    let has_times = mode != RigMode::Paper
         && rig_candidates(scene).len() > 1
         && scene.images().all(|(_, i)| i.time_s.is_some());
     if has_times || rig_pairs(scene).iter().any(|rig| rig.pairs.len() >= 2) {

@@ -17,8 +17,8 @@ use tiepoint_sfm::matching::{
     Checks, Method, Options as DescriptorOptions, PairSelection, PreemptiveMatching,
 };
 use tiepoint_sfm::{
-    FilterOptions, MapperOptions, Readout, RefineIntrinsics, RegisterOptions, RigTerm,
-    TrackOptions, VerifyOptions,
+    FilterOptions, MapperOptions, Readout, RefineIntrinsics, RegisterOptions, TrackOptions,
+    VerifyOptions,
 };
 
 use crate::DenseOptions;
@@ -256,20 +256,13 @@ pub(crate) fn of_mapping(mapper: &MapperOptions, baseline_m: Option<f64>) -> Tex
         readout,
         seed,
     } = mapper;
-    let rig = match rig {
-        RigTerm::Off => "off",
-        RigTerm::Paper => "paper",
-        RigTerm::Soft => "soft",
-        RigTerm::Hard => "hard",
-        RigTerm::Auto => "auto",
-    };
     let readout = readout.map(|readout| match readout {
         Readout::Known(time_s) => format!("{time_s}s"),
         Readout::Estimated => "estimate".to_owned(),
     });
     vec![
         ("mapper.baseline", or_none(baseline_m.map(|baseline_m| format!("{baseline_m}m")))),
-        ("mapper.rig", rig.to_owned()),
+        ("mapper.rig", rig.name().to_owned()),
         ("mapper.readout", or_none(readout)),
         ("mapper.seed", seed.to_string()),
         ("mapper.refine.focal", focal.to_string()),
@@ -286,7 +279,7 @@ pub(crate) fn of_mapping(mapper: &MapperOptions, baseline_m: Option<f64>) -> Tex
         ("mapper.filter.min_angle_rad", filter_angle_rad.to_string()),
         ("mapper.register.max_error_px", max_error_px.to_string()),
         ("mapper.register.min_num_inliers", min_num_inliers.to_string()),
-        ("mapper.register.min_inlier_share", min_inlier_ratio.to_string()),
+        ("mapper.register.min_inlier_ratio", min_inlier_ratio.to_string()),
         ("mapper.min_initial_inliers", min_initial_inliers.to_string()),
         ("mapper.min_model_size", min_model_size.to_string()),
         ("mapper.loss", of_loss(loss)),
@@ -366,6 +359,7 @@ fn of_loss(loss: &Loss) -> String {
 #[cfg(test)]
 mod tests {
     use tiepoint_io::DEFAULT_MAX_PIXELS;
+    use tiepoint_sfm::RigMode;
     use tiepoint_sfm::geometry::CameraModelKind;
     use tiepoint_sfm::matching::Ends;
 
@@ -434,7 +428,7 @@ mod tests {
             "mapper.filter.min_angle_rad = 0.026179938779914945",
             "mapper.register.max_error_px = 12",
             "mapper.register.min_num_inliers = 30",
-            "mapper.register.min_inlier_share = 0.25",
+            "mapper.register.min_inlier_ratio = 0.25",
             "mapper.min_initial_inliers = 30",
             "mapper.min_model_size = 3",
             "mapper.loss = soft_l1:4",
@@ -516,18 +510,22 @@ mod tests {
 
         for (mapper, baseline_m, expected) in [
             (
-                MapperOptions { rig: RigTerm::Paper, ..Default::default() },
+                MapperOptions { rig: RigMode::Paper, ..Default::default() },
                 Some(0.62),
                 "mapper.baseline = 0.62m",
             ),
             (
-                MapperOptions { rig: RigTerm::Paper, ..Default::default() },
+                MapperOptions { rig: RigMode::Paper, ..Default::default() },
                 None,
                 "mapper.rig = paper",
             ),
-            (MapperOptions { rig: RigTerm::Soft, ..Default::default() }, None, "mapper.rig = soft"),
-            (MapperOptions { rig: RigTerm::Hard, ..Default::default() }, None, "mapper.rig = hard"),
-            (MapperOptions { rig: RigTerm::Auto, ..Default::default() }, None, "mapper.rig = auto"),
+            (MapperOptions { rig: RigMode::Soft, ..Default::default() }, None, "mapper.rig = soft"),
+            (
+                MapperOptions { rig: RigMode::Rigid, ..Default::default() },
+                None,
+                "mapper.rig = rigid",
+            ),
+            (MapperOptions { rig: RigMode::Auto, ..Default::default() }, None, "mapper.rig = auto"),
             (
                 MapperOptions { readout: Some(Readout::Known(0.016)), ..Default::default() },
                 None,

@@ -34,7 +34,7 @@ pub use model_tools::{
     transfer_model,
 };
 pub use noise::keypoint_sigma_px;
-pub use options::{MapperOptions, RigTerm};
+pub use options::{MapperOptions, RigMode};
 pub use register::{Localization, QueryCamera, RegisterOptions, localize_image, register_image};
 pub use rigs::{
     BaselineLink, BaselineTerm, CalibratedCamera, CalibratedRig, ClockState, Descriptors,

@@ -7,7 +7,7 @@ use tiepoint_dense::stereo::{
 use tiepoint_dense::{Grey, PosedPinhole, StereoProblem, select_views};
 use tiepoint_geometry::nalgebra::{Vector2, Vector3};
 use tiepoint_scene::{Image, ImageId, Keypoint, Observation, Reconstruction, Track};
-use tiepoint_synth::{Drive, DriveOptions, Mount, Mounting, RouteKind, SurfacePoint};
+use tiepoint_synth::{Drive, DriveOptions, Mount, RouteKind, SurfacePoint, ViewDirection};
 
 /// Number of pixels between two seeds of an image, along each axis: as sparse as a sparse model.
 const SEED_STEP: usize = 24;
@@ -23,11 +23,11 @@ struct Scene {
 }
 
 impl Scene {
-    fn new(width: u32, height: u32, frames: usize, mounting: Mounting) -> Self {
+    fn new(width: u32, height: u32, frames: usize, direction: ViewDirection) -> Self {
         let options = DriveOptions {
             route: RouteKind::Open,
             length_m: 60.0,
-            mounts: Mount::stereo(mounting, 0.5).to_vec(),
+            mounts: Mount::stereo(direction, 0.5).to_vec(),
             width,
             height,
             rate_hz: 4.0,
@@ -203,7 +203,7 @@ fn quality(scene: &Scene, depths: &[DepthMap]) -> Quality {
 
 #[test]
 fn depth_maps_and_cloud_are_accurate_and_complete() {
-    let scene = Scene::new(320, 240, 4, Mounting::Right);
+    let scene = Scene::new(320, 240, 4, ViewDirection::Right);
     let problems = scene.problems();
     let depths = depth_maps(&scene, &problems);
     let Quality { found, within } = quality(&scene, &depths);
