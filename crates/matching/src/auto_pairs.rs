@@ -1,4 +1,4 @@
-//! Pairs without a given selection: which images are sequences, and which pairs follow.
+//! Automatic choice of image pairs: which images are sequences, and which pairs are matched.
 
 use crate::pairs::{Pair, Sequence, normalise};
 use crate::retrieval::Similar;

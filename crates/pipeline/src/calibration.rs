@@ -128,20 +128,20 @@ pub(crate) struct Calibrations {
 }
 
 impl Calibrations {
-    /// Reads the sources. Where several are of one photo, the first counts.
+    /// Reads the sources. If several calibrate one photo, the first one counts.
     ///
     /// # Errors
     ///
     /// A file cannot be read or is damaged; it has no camera of the given name, or several and none
     /// is given; a pattern matches no photo; without a pattern, the cameras of the file are not
-    /// those of the folders; a source is of no photo that an earlier one is not of.
+    /// those of the folders; earlier sources calibrate all photos of a source.
     pub(crate) fn read(sources: &[CalibrationSource], photos: &ImageFolder) -> Result<Self, Error> {
         let mut this = Self {
             cameras: Vec::new(),
             sources: sources.to_vec(),
             of_image: vec![None; photos.images().len()],
         };
-        // Of each source: the folders that none of its cameras is of.
+        // For each source, the folders without a camera in it.
         let mut left_out: Vec<BTreeSet<usize>> = Vec::new();
         for (index, source) in sources.iter().enumerate() {
             let found = source.read()?;
@@ -161,7 +161,7 @@ impl Calibrations {
                             stands before it: give the photos of each, as PATTERN=FILE";
                 return Err(source.error(what.to_owned()));
             }
-            // Another source may be of the folders that this one leaves out.
+            // Folders without a camera in this source may be calibrated by another source.
             let is_uncalibrated = |folder: &&usize| {
                 let mut images = photos.images().iter().zip(&this.of_image);
                 images.any(|(image, own)| image.camera.index() == **folder && own.is_none())

@@ -180,7 +180,8 @@ fn sides(info: &ImageInfo) -> (u32, u32) {
     (info.width.max(info.height), info.width.min(info.height))
 }
 
-/// Checks that the photos have one size, as the intrinsics of all cameras say nothing of theirs.
+/// Checks that the photos have one size: `--intrinsics` holds for all cameras and has no image size
+/// of its own.
 fn require_one_size(
     photos: &Photos,
     firsts: &[&Photo],

@@ -86,7 +86,8 @@ pub fn dense(
     if progress == Progress::Begin {
         remove_old_results(workspace, &undistorted)?;
     } else {
-        // The record of a complete stage whose files are gone says so until here.
+        // The record may still say that the stage is complete, although files of it were deleted.
+        // From here on it says incomplete.
         workspace.note(|_| {})?;
     }
     let mut run = Run::new(workspace, undistorted, problems, options, masks);
@@ -218,7 +219,7 @@ impl<'a> Run<'a> {
         Ok(!has_lost_mask && !self.is_missing(&image)?)
     }
 
-    /// Whether the files of the last step of an image are there.
+    /// Whether the depth map of an image exists, with its normal map and PNG if they are asked for.
     fn has_depths(&self, index: usize) -> Result<bool, Error> {
         let name = self.name(index);
         let normals = self.options.has_normal_maps.then(|| normal_file(name));
@@ -231,8 +232,8 @@ impl<'a> Run<'a> {
         Ok(true)
     }
 
-    /// Number of steps that an earlier run completed, and whether all depth maps are there. Then
-    /// planes, which are temporary, count as done.
+    /// Number of steps that an earlier run completed, and whether all depth maps exist. The files
+    /// of planes are deleted when all depth maps exist; their steps then count as completed.
     fn count_done(&self) -> Result<(usize, bool), Error> {
         let (mut images, mut planes, mut depths) = (0, 0, 0);
         for index in 0..self.problems.len() {

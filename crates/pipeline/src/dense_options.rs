@@ -19,8 +19,8 @@ impl Default for DenseOptions {
     fn default() -> Self {
         Self {
             max_image_size: None,
-            // With 5, F1 at 2 footprints was 1 to 3 % lower on made scenes of other seeds than the
-            // table (room 11: 65.7 for 68.1, street 12: 60.1 for 61.0), at a quarter less CPU.
+            // 5 sources lower F1 by 1 to 3 % and take a quarter less CPU time
+            // (`docs/benchmarks/dense.md`).
             sources: 8,
             masks: None,
             has_normal_maps: false,

@@ -260,7 +260,8 @@ impl Pairs {
     }
 }
 
-/// A two-view geometry without the values that programs write for want of others.
+/// A two-view geometry without placeholders: programs write identity or zero for a matrix or a pose
+/// that they did not estimate.
 fn without_placeholders(view: &TwoView) -> TwoView {
     let is_real = |matrix: &Matrix3<f64>| *matrix != Matrix3::identity() && matrix.amax() > 0.0;
     let is_still = view.kind == TwoViewKind::Panoramic;

@@ -9,10 +9,11 @@ use super::options::FusionOptions;
 /// Most neighbours of an image: the supporting images of a point are the bits of a word.
 pub const MAX_NEIGHBOURS: usize = 31;
 
-/// A surface is in the cloud if the pixel that gave its point has at most so many times the area of
-/// this one on it: then points of images at all distances are at most twice as many as those of the
-/// nearest, since each set has half of the next one or less. With 1, a point of each image in turn
-/// stands beside the others (2.5 times the points in a made scene).
+/// A pixel gives no point if an earlier image has a point on its surface, and the pixel of that point
+/// covers at most this many times the area that this pixel covers. With 2, images at all distances
+/// give together at most twice the points of the nearest image: each coarser image that gives points
+/// has at most half as many pixels on the surface as the next finer one (1 + 1/2 + 1/4 + …). With 1,
+/// images at nearly equal distances all give points (`docs/benchmarks/dense.md`).
 const MAX_COVERED_AREA: f64 = 2.0;
 
 /// A point of the fused cloud.

@@ -16,7 +16,7 @@ const MIN_SIDE: usize = 4 * (2 * RADIUS + 1);
 /// so that the last ones are half a pixel, the initial changes of the next level.
 const QUARTER_SWEEPS: usize = 4;
 const QUARTER_CHANGE_PX: f32 = 4.0;
-/// Sweeps on the half level. With three, F1 at two footprints is higher by at most 0.2 %.
+/// Sweeps on the half level. A third one raises F1 by at most 0.2 %.
 const HALF_SWEEPS: usize = 2;
 const HALF_CHANGE_PX: f32 = 1.0;
 /// First change of the components of a unit normal; halved by each sweep.

@@ -1,9 +1,9 @@
-//! Two cameras of one lens whose images are turned by 90° against each other: photos of a camera
-//! that is held upright, with pixels that are upright, too.
+//! Two cameras that are one lens in portrait and landscape format: their images are rotated by 90°
+//! against each other, because the program that wrote them rotated the pixels upright.
 //!
 //! Turning an image exchanges the focal lengths and keeps the coefficients of the radial
-//! distortion. The cameras share these up to [`SIGMA`]. The principal point and the distortion that
-//! is not radial stay separate: they depend on the sense of the turn, which pixels do not tell.
+//! distortion. The cameras share these up to [`SIGMA`]. The principal point and the other
+//! distortion parameters stay separate: they depend on the sense of the rotation, which is unknown.
 
 use std::any::Any;
 
