@@ -213,8 +213,8 @@ def measure(direction, options, scratch):
         elif poses == "true":
             set_true_poses(workspace / "sparse/0", truth[0])
         found, total, readouts = exported(workspace, scratch / f"gsplat-{poses}")
-        run = {"view_direction": direction, "poses": poses, "exported": total, "readouts_ms": readouts}
-        runs.append(run | compared(drive, found, truth))
+        run = {"view_direction": direction, "poses": poses, "exported": total}
+        runs.append(run | {"readouts_ms": readouts} | compared(drive, found, truth))
         print(json.dumps(runs[-1]), flush=True)
     return runs
 

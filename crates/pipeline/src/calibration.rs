@@ -8,7 +8,7 @@ use tiepoint_io::calibration::{self, CameraCalibration};
 use tiepoint_io::{Exif, ImageFolder, ImageInfo};
 use tiepoint_sfm::scene::Camera;
 
-use crate::fingerprint::of_text;
+use crate::fingerprint::hash_file;
 use crate::known_intrinsics::{assumed_size, camera_of};
 use crate::{Error, Size};
 
@@ -82,7 +82,7 @@ impl CalibrationSource {
     /// The source with the fingerprint of the file in place of its path.
     pub(crate) fn fingerprint(&self) -> Result<String, Error> {
         let (pattern, camera) = (self.pattern.as_deref(), self.camera.as_deref());
-        let hash = of_text(&self.path)?;
+        let hash = hash_file(&self.path)?;
         let size = self.size.map_or_else(String::new, |[w, h]| format!("@{w}x{h}"));
         Ok(format!("{}={hash}#{}{size}", pattern.unwrap_or(""), camera.unwrap_or("")))
     }
@@ -123,7 +123,7 @@ pub(crate) struct Calibrations {
     /// Calibrated cameras, with the source of each.
     cameras: Vec<(usize, CameraCalibration)>,
     sources: Vec<CalibrationSource>,
-    /// Of each image of the folder: an index into `cameras`.
+    /// For each image of the folder, an index into `cameras`.
     of_image: Vec<Option<usize>>,
 }
 

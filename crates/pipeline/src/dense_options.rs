@@ -9,10 +9,10 @@ pub struct DenseOptions {
     pub sources: usize,
     /// Folder with a mask for each photo; pixels where a mask is 0 get no depth.
     pub masks: Option<PathBuf>,
-    /// Whether normal maps are written, which COLMAP's fusion reads.
-    pub has_normal_maps: bool,
-    /// Whether depth maps are also written as PNG of 16 bits, with one scale for all.
-    pub has_depth_pngs: bool,
+    /// Whether to write normal maps, which COLMAP's fusion reads.
+    pub write_normal_maps: bool,
+    /// Whether to write the depth maps also as PNG of 16 bits, with one scale for all.
+    pub write_depth_pngs: bool,
 }
 
 impl Default for DenseOptions {
@@ -23,8 +23,8 @@ impl Default for DenseOptions {
             // (`docs/benchmarks/dense.md`).
             sources: 8,
             masks: None,
-            has_normal_maps: false,
-            has_depth_pngs: false,
+            write_normal_maps: false,
+            write_depth_pngs: false,
         }
     }
 }

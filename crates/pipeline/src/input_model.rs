@@ -7,7 +7,7 @@ use tiepoint_sfm::scene::Reconstruction;
 use tiepoint_sfm::{self as sfm, MapperOptions, RigMode, Transferred, transfer_model};
 
 use crate::export::model_files;
-use crate::fingerprint::of_contents;
+use crate::fingerprint::hash_files;
 use crate::{Error, model_folder, option_keys};
 
 /// A COLMAP model whose images with their poses are the beginning of a map.
@@ -31,7 +31,7 @@ impl InputModel {
         let files: Vec<PathBuf> =
             model_files(&folder).into_iter().filter(|file| file.is_file()).collect();
         Ok(OpenedModel {
-            fingerprint: of_contents(&files)?,
+            fingerprint: hash_files(&files)?,
             fix_existing_frames: self.fix_existing_frames,
             folder,
             files,
@@ -50,7 +50,7 @@ pub(crate) struct OpenedModel {
 impl OpenedModel {
     /// Keys and values for the record.
     pub(crate) fn texts(&self) -> Vec<(&'static str, String)> {
-        option_keys::of_input_model(&self.fingerprint, self.fix_existing_frames)
+        option_keys::input_model_options(&self.fingerprint, self.fix_existing_frames)
     }
 
     /// The files that mapping reads and must not write.

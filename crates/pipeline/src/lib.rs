@@ -2,7 +2,7 @@
 
 mod adjust;
 mod calibration;
-mod camera_facts;
+mod calibration_facts;
 mod cameras;
 mod cloud;
 pub mod colmap;

@@ -113,8 +113,9 @@ impl Mount {
     }
 
     /// A stereo pair with parallel axes and a baseline of `baseline_m`: `left` and `right` of the
-    /// viewing direction. The pair looks forward with [`ViewDirection::Front`]; with [`ViewDirection::Right`]
-    /// it looks sideways, and one camera is in front of the other (Experiment II of the paper).
+    /// view direction. The pair looks forward with [`ViewDirection::Front`]; with
+    /// [`ViewDirection::Right`] it looks sideways, and one camera is in front of the other
+    /// (Experiment II of the paper).
     pub fn stereo(direction: ViewDirection, baseline_m: f64) -> [Self; 2] {
         let middle = Self::facing(direction).cam_from_vehicle;
         [("left", -0.5), ("right", 0.5)].map(|(name, side)| {

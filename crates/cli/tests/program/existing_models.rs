@@ -1,4 +1,5 @@
-//! Existing models and databases: an input model, a database of another program, photos in a finished model.
+//! Existing models and databases: an input model, a database of another program, photos in a
+//! finished model.
 
 use std::collections::BTreeMap;
 use std::fs;

@@ -4,8 +4,8 @@ use super::constants::{LANES, MIDDLE, MIN_VARIANCE, SAMPLES, UNITS};
 use crate::Grey;
 
 /// The pixels within √10 of the centre except the five in the middle: 7 pixels wide, and the 32
-/// samples fill the lanes. Like all constants of this crate, chosen on two synthetic scenes that are
-/// not benchmarked; `docs/benchmarks/dense.md` has the accuracy with other values.
+/// samples fill the lanes. Like all constants of this crate, chosen on two synthetic scenes that
+/// are not benchmarked; `docs/benchmarks/dense.md` has the accuracy with other values.
 const OFFSETS: [[i32; 2]; SAMPLES] = offsets();
 /// Standard deviation of the bilateral weights in space, in pixels: the radius of the patch, as in
 /// Schönberger 2016. Half and twice of it change F1 by at most 0.3 %.

@@ -2,7 +2,7 @@
 
 use super::maps::PlaneMap;
 use super::seeds::InverseDepthRange;
-use super::view::{MAX_SOURCES, View};
+use super::view::{MAX_SOURCES, StereoImage};
 use crate::ncc::{Ncc, OUTSIDE, Patch, Source, Warp};
 use crate::pinhole::Transfer;
 use crate::plane::{Plane, Rays};
@@ -41,7 +41,11 @@ pub(super) struct LevelSource {
 
 impl LevelSource {
     /// `planes`: those of the source image on the same level.
-    pub(super) fn new(reference: &View, source: &View, planes: Option<PlaneMap>) -> Self {
+    pub(super) fn new(
+        reference: &StereoImage,
+        source: &StereoImage,
+        planes: Option<PlaneMap>,
+    ) -> Self {
         let to_reference = Transfer::new(&source.camera, &reference.camera);
         Self {
             source: Source::new(&source.grey),

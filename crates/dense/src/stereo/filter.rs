@@ -12,9 +12,9 @@ const MAX_COST: f32 = MAX_SELECTED_COST;
 /// Largest distance to the planes of a source at half resolution, in pixels of that level: their
 /// own resolution. Half and twice of it change F1 by less than 0.4 %.
 const MAX_ERROR_PX: f32 = 1.0;
-/// Number of source images whose planes must agree, or all if there are fewer. One source keeps depths
-/// that few images see, such as those of paving at a low angle. More of them are wrong, and the
-/// fusion, which asks for three images, rejects these.
+/// Number of source images whose planes must agree, or all if there are fewer. One source keeps
+/// depths that few images see, such as those of paving at a low angle. More of them are wrong, but
+/// the fusion asks for three images. Two lower F1 by up to 1.3 %.
 const MIN_SOURCES: usize = 1;
 
 /// The depths of the planes whose cost is low, and with which the planes of enough sources agree.

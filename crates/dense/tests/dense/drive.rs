@@ -2,7 +2,7 @@
 
 use tiepoint_dense::fusion::{FusedPoint, FusionImage, FusionOptions, fuse};
 use tiepoint_dense::stereo::{
-    DepthMap, FineSource, PlaneMap, View, estimate_coarse, estimate_fine,
+    DepthMap, FineSource, PlaneMap, StereoImage, estimate_coarse, estimate_fine,
 };
 use tiepoint_dense::{Grey, PosedPinhole, StereoProblem, select_views};
 use tiepoint_geometry::nalgebra::{Vector2, Vector3};
@@ -16,7 +16,7 @@ const SEED_STEP: usize = 24;
 struct Scene {
     drive: Drive,
     model: Reconstruction,
-    views: Vec<View>,
+    views: Vec<StereoImage>,
     colors: Vec<Vec<u8>>,
     /// Camera and time of each image.
     exposures: Vec<(usize, f64)>,
@@ -45,7 +45,7 @@ impl Scene {
                 let camera = truth.camera(truth.image(ImageId::from_index(views.len())).camera);
                 let camera = PosedPinhole::new(camera, &pose).unwrap();
                 let grey = Grey::from_rgb(camera.width, camera.height, &rgb);
-                views.push(View { camera, grey });
+                views.push(StereoImage { camera, grey });
                 colors.push(rgb);
                 exposures.push((index, exposure.time_s));
             }
@@ -128,7 +128,7 @@ impl Scene {
 
 /// Depth maps of all images.
 fn depth_maps(scene: &Scene, problems: &[StereoProblem]) -> Vec<DepthMap> {
-    let sources = |problem: &StereoProblem| -> Vec<&View> {
+    let sources = |problem: &StereoProblem| -> Vec<&StereoImage> {
         problem.sources.iter().map(|image| &scene.views[image.index()]).collect()
     };
     let coarse: Vec<PlaneMap> = problems

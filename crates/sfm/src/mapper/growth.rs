@@ -272,12 +272,12 @@ impl<'a> Mapper<'a> {
         }
         let options = AdjustOptions {
             refine,
-            selects_points: schedule.selects_points,
+            select_tracks: schedule.select_tracks,
             loss: self.options.loss,
             focal_priors: self.focal_priors,
             constant_poses: self.constant_poses,
             gauge: self.initial.filter(|_| self.options.rig == RigMode::Paper),
-            has_constant_rigs: self.known_rigs.is_some_and(|known| !known.are_refined),
+            constant_rigs: self.known_rigs.is_some_and(|known| !known.refine_extrinsics),
             max_iterations: schedule.max_iterations,
             function_tolerance: schedule.tolerance,
             ..AdjustOptions::default()

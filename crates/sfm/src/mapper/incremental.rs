@@ -76,7 +76,7 @@ fn map_all(
     Ok(models)
 }
 
-/// What the mapper starts from.
+/// Input of the mapper.
 pub(super) struct Prepared<'a> {
     /// The scene without poses and points, with initial focal lengths.
     pub(super) scene: Reconstruction,

@@ -88,8 +88,8 @@ impl Mapper<'_> {
         self.solution.shutters =
             self.options.readout.map(|readout| RollingShutters::new(&self.solution.model, readout));
         let mut failures = Vec::new();
-        let has_constant_poses = self.constant_poses.is_some();
-        let stages = STAGES.into_iter().filter(|stage| !has_constant_poses || !stage.moves_poses());
+        let constant_poses = self.constant_poses.is_some();
+        let stages = STAGES.into_iter().filter(|stage| !constant_poses || !stage.moves_poses());
         for stage in stages {
             let Some(optional) = stage.optional() else {
                 self.run_stage(stage, descriptors, watch)?;

@@ -177,7 +177,7 @@ impl Context<'_> {
         }
         hold_out_tracks(model, 0.0, self.seed);
         let all =
-            Context { adjust: AdjustOptions { selects_points: false, ..self.adjust }, ..*self };
+            Context { adjust: AdjustOptions { select_tracks: false, ..self.adjust }, ..*self };
         all.refine(model, &mut all_extrinsics, 1.0)?;
         add_frames(model, &all_extrinsics);
         let (mut cameras, mut bad_pairs) = (Vec::new(), Vec::new());

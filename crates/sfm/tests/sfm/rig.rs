@@ -10,9 +10,9 @@ use tiepoint_scene::{
 };
 use tiepoint_sfm::rig::{paper, relative_pose_statistics};
 use tiepoint_sfm::{
-    AdjustOptions, BaselineTerm, Event, MappedModel, MapperOptions, RefineIntrinsics,
-    RigConstraint, RigMode, Scope, Term, VerifyOptions, View, adjust, final_links, growing_links,
-    map, relative_poses, rig_pairs, verify_pair,
+    AdjustOptions, BaselineTerm, Event, ImageObservations, MappedModel, MapperOptions,
+    RefineIntrinsics, RigConstraint, RigMode, Scope, Term, VerifyOptions, adjust, final_links,
+    growing_links, map, relative_poses, rig_pairs, verify_pair,
 };
 
 use crate::common::{ate_m, sample};
@@ -126,8 +126,10 @@ fn drive_with(
             };
             let matches: Vec<Match> = seen[a].iter().enumerate().filter_map(found).collect();
             let pair = ImagePair::new(ImageId(a as u32), ImageId(b as u32)).expect("two images");
-            let view =
-                |id| View { keypoints: &scene.image(id).keypoints, camera: scene.camera_of(id) };
+            let view = |id| ImageObservations {
+                keypoints: &scene.image(id).keypoints,
+                camera: scene.camera_of(id),
+            };
             let options = VerifyOptions::default();
             two_views
                 .push((pair, verify_pair(view(pair.a), view(pair.b), &matches, &options, seed)));

@@ -1,4 +1,4 @@
-//! What an option is.
+//! Description of an option: type of its values, effect, default.
 
 /// The values that an option takes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -10,7 +10,7 @@ pub(super) enum Kind {
     Path,
 }
 
-/// What an option does.
+/// Effect of an option.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Effect {
     /// It has the same effect as in COLMAP.
