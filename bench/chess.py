@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""A real rig without calibration: the mounting that tiepoint finds from 13 pairs of a chessboard,
+"""A real rig without calibration: the extrinsics that tiepoint finds from 13 pairs of a chessboard,
 beside OpenCV's stereo calibration.
 
   pip install opencv-python-headless numpy scipy
@@ -12,7 +12,7 @@ moves. A chessboard's corners look all alike, so that keypoints by appearance ma
 images): both programs get the same corners, found by OpenCV, and who is who; tiepoint as keypoints
 and matches in its database, without the corners' places on the board, with a focal length that is
 20 % wrong and no distortion to begin with, OpenCV with their places. Prints the angle between the
-two rotations of the mounting, the angle between the baselines, and the ratio of focal lengths.
+two rotations of the extrinsics, the angle between the baselines, and the ratio of focal lengths.
 
 Which of the two is nearer to the truth? OpenCV believes the board to be flat and its corners to be
 where they should be. So a third calibration stands beside both: scipy's least squares over the same
@@ -95,7 +95,7 @@ def jackknife_deg(pairs, size, r):
 
 
 def free_board(pairs, size, r, t):
-    """Least squares over cameras (f, cx, cy, k1, k2, p1, p2; pixels are square), mounting, the
+    """Least squares over cameras (f, cx, cy, k1, k2, p1, p2; pixels are square), extrinsics, the
     board's poses and its corners, from a calibration's R and T: rms, principal points, R and T."""
     grid = board()
     count = len(grid)
@@ -208,7 +208,7 @@ def run(command):
     return done.stdout
 
 
-def mounting(arguments, program, folder, known, corners, size):
+def extrinsics(arguments, program, folder, known, corners, size):
     """The largest model of the report, the rig's second camera, and its R and T, of the corners;
     `known`: options of the intrinsics."""
     workspace = folder / known[0].strip("-")
@@ -224,7 +224,7 @@ def mounting(arguments, program, folder, known, corners, size):
         f" {model['points']} points, {model['mean_reprojection_error_px']:.3f} px"
     )
     if not (workspace / "rig.json").exists():
-        sys.exit("tiepoint: no mounting was found")
+        sys.exit("tiepoint: no extrinsics were found")
     camera = json.loads((workspace / "rig.json").read_text())["cameras"][0]
     rotation = Rotation.from_quat(np.roll(camera["rotation_wxyz"], -1)).as_matrix()
     return model, camera, rotation, np.array(camera["translation"])
@@ -249,7 +249,7 @@ def main():
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--rig", default="hard")
+    parser.add_argument("--rig", default="rigid")
     parser.add_argument("--seed", default="0")
     parser.add_argument(
         "--work", type=Path, help="where to put the workspace (default: the system's)"
@@ -282,7 +282,7 @@ def main():
             f" baseline {np.linalg.norm(t):.4f} squares"
         )
         lens = ["--focal-prior", FOCAL_PRIOR_PX, "--camera-model", "OPENCV"]
-        model, camera, own_r, own_t = mounting(arguments, program, folder, lens, by_name, size)
+        model, camera, own_r, own_t = extrinsics(arguments, program, folder, lens, by_name, size)
         direction_from = lambda t: degrees(own_t @ t / np.linalg.norm(own_t) / np.linalg.norm(t))
         angle, direction = degrees_between(own_r, r), direction_from(t)
         focal = [c["params"][0] for c in model["cameras"]]
@@ -297,7 +297,7 @@ def main():
             for name, own, k in zip(("left", "right"), middles, (k1, k2))
         )
         print(f"principal points, ours less OpenCV's: {shifts}")
-        # What a shift of the principal points alone would turn the mounting by.
+        # What a shift of the principal points alone would turn the extrinsics by.
         turn = [
             np.array([(own[0] - 0.5 - k[0, 2]) / k[0, 0], (own[1] - 0.5 - k[1, 2]) / k[1, 1]])
             for own, k in zip(middles, (k1, k2))
@@ -321,7 +321,7 @@ def main():
             f" {shifts}"
         )
         known = calibration_files(folder, (k1, k2), distortions, size)
-        model, _, own_r, own_t = mounting(arguments, program, folder, known, by_name, size)
+        model, _, own_r, own_t = extrinsics(arguments, program, folder, known, by_name, size)
         changed = max(
             abs(c["params"][i] - value)
             for c, k in zip(model["cameras"], (k1, k2))

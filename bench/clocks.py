@@ -12,7 +12,7 @@ the rig that this first run gives and frames of the images nearest in time (what
 has for an unknown rig, so it needs the first among the peers); on the same frames with the true
 calibration; and with its global mapper and a rig of unknown calibration. Each gets so many minutes.
 The last columns have the true intrinsics: `auto`, whose clocks end within 0.1 ms, so that they are
-as good as given, while stamps jitter as they do; the oracle, `--rig hard` with the true moment of
+as good as given, while stamps jitter as they do; the oracle, `--rig rigid` with the true moment of
 each image as its stamp, without that jitter; and the same drive whose cameras are triggered
 together, which are other images of the same street. ATE in metres, as drift.py has it."""
 
@@ -166,7 +166,7 @@ def run_seed(seed, arguments, work):
         print(f"seed {seed}, {which}: {time.perf_counter() - start:.0f} s", file=sys.stderr)
     width, height = map(float, arguments.size.split("x"))
     lens = ["--intrinsics", f"{focal},{focal},{width / 2},{height / 2}"]
-    known = [*lens, "--rig", "hard"]
+    known = [*lens, "--rig", "rigid"]
     run([*command(drive), "-o", work / "lens", *lens, "--rig", "auto"], log)
     rows["true lens"] = ate(pycolmap.Reconstruction(work / "lens/sparse/0"), centres)
     run(

@@ -281,8 +281,8 @@ def street(folder, seed, count, size, rate_hz=4):
     words = ["--frames", count // 2, "--size", f"{size[0]}x{size[1]}", "--rate", rate_hz]
     words += ["--length", length]
     tiepoint(
-        "synth", "-o", drive, "--mounting", "right", "--route", "open", "--seed", seed, "--depths",
-        *words,
+        "synth", "-o", drive, "--view-direction", "right", "--route", "open", "--seed", seed,
+        "--depths", *words,
     )
     truth = pycolmap.Reconstruction(drive / "truth/model")
     views = {}

@@ -42,7 +42,7 @@ EFFECTS = [
     "lens",
     "rolling-shutter",
     "vibration",
-    "mounting",
+    "misalignment",
     "traffic",
     "clocks",
     "photometry",
@@ -152,8 +152,8 @@ def run_drive(effect, route, seed, arguments, work):
             arguments.size,
             "--seed",
             seed,
-            "--mounting",
-            arguments.mounting,
+            "--view-direction",
+            arguments.view_direction,
             "--json",
             *frames,
         ],
@@ -252,7 +252,7 @@ def main():
     parser.add_argument("--rate", type=float, default=2.5, help="images a second")
     parser.add_argument("--frames", type=int, help="at most so many of each camera")
     parser.add_argument("--size", default="640x480")
-    parser.add_argument("--mounting", default="front")
+    parser.add_argument("--view-direction", default="front")
     parser.add_argument("--pairs", default="sequential:6+ends")
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--program", type=Path)

@@ -1,12 +1,12 @@
 #!/usr/bin/env python3
-"""A known rig on KITTI, where matches of some moments are deleted.
+"""A known rig on KITTI, where matches of some frames are deleted.
 
     pip install numpy pycolmap==4.2.1
     cargo build --release
     TIEPOINT_DATA=... python bench/known_rig.py [--drives kitti04] [--seeds 3] [--program FILE]
 
 Each camera has its own calibration (`--calibration left=calib.txt#P0`, `right=calib.txt#P1`). The
-rig is COLMAP's rig_config.json with the baseline of calib.txt. Six moments in the middle of each
+rig is COLMAP's rig_config.json with the baseline of calib.txt. Six frames in the middle of each
 clip of 51 lose verified matches in the database:
 
     all     nothing is deleted
@@ -15,7 +15,7 @@ clip of 51 lose verified matches in the database:
 
 The error is that of the camera centres of both cameras against the truth after a similarity
 (Umeyama 1991): the root mean square over all registered images, and the largest of the poor
-moments' images. `scale` is the length of the truth over that of the model: with the known rig both
+frames' images. `scale` is the length of the truth over that of the model: with the known rig both
 are in metres. pycolmap reads the models."""
 
 import argparse
@@ -70,7 +70,7 @@ def write_inputs(folder, scratch):
 
 
 def delete_matches(database, case):
-    """Deletes verified matches of the poor moments."""
+    """Deletes verified matches of the poor frames."""
     connection = sqlite3.connect(database)
     names = dict(connection.execute("SELECT image_id, name FROM images"))
     numbers = {image: int(Path(name).stem) for image, name in names.items()}

@@ -19,7 +19,7 @@ import subprocess
 
 from program import TARGET
 
-MOMENTS = [250, 500, 1000, 2000]
+FRAMES = [250, 500, 1000, 2000]
 VARIANTS = {"rig": [], "none": ["--no-rig"], "loop": ["--loop"]}
 NAMES = {"rig": "with the rig's factors", "none": "without", "loop": "loop closed"}
 COLOURS = {"rig": "#1b6ca8", "none": "#d1495b", "loop": "#3a7d44"}
@@ -29,9 +29,9 @@ LINE = re.compile(
 )
 
 
-def run(moments, flags):
+def run(frames, flags):
     out = subprocess.run(
-        [TARGET / "release/examples/drive", str(moments), "500", *flags],
+        [TARGET / "release/examples/drive", str(frames), "500", *flags],
         check=True,
         capture_output=True,
         text=True,
@@ -66,7 +66,7 @@ def svg(results):
     ]
     parts += [f'<text x="466" y="{line(y, most_gib) + 4:.0f}">{y}</text>' for y in (1, 2, 3)]
     parts += [
-        f'<text x="{at(2 * n):.0f}" y="246" text-anchor="middle">{2 * n}</text>' for n in MOMENTS
+        f'<text x="{at(2 * n):.0f}" y="246" text-anchor="middle">{2 * n}</text>' for n in FRAMES
     ]
     parts += [
         '<text x="260" y="262" text-anchor="middle">cameras</text>',
@@ -109,7 +109,7 @@ def main():
                 (run(n, VARIANTS[variant]) for _ in range(options.repetitions)),
                 key=lambda r: r["step_s"],
             )
-            for n in MOMENTS
+            for n in FRAMES
         ]
     if options.results:
         options.results.write_text(json.dumps(results, indent=1))

@@ -1,5 +1,4 @@
-"""Cameras that ride together, against the truth: trajectory, calibration and clock of each `--rig`
-mode.
+"""Rigs against the truth: trajectory, calibration and clock of each `--rig` mode.
 
     cargo build --release -p tiepoint
     python bench/rig.py --drive DRIVE --workspace WS [--rig off auto]
@@ -77,21 +76,21 @@ def compare_rig(found, true, metres_per_unit):
         "offset_error_ms": offset_ms,
         "offset_sd_ms": sd_ms,
         "drift_error_ppm": drift_ppm,
-        "timing": clock["timing"],
+        "clock_state": clock["state"],
     }
 
 
 def show(label, evaluation, report, errors):
     rig = report["models"][0]["rig"]
-    mounting = (rig or {}).get("mounting") or {}
-    chosen = mounting.get("chosen", "off")
+    extrinsics = (rig or {}).get("extrinsics") or {}
+    chosen = extrinsics.get("chosen") or "off"
     line = f"{label:12} ATE {100 * evaluation['centre_error']['rmse']:8.3f} cm  chose {chosen}"
-    if mounting:
+    if extrinsics:
         line += (
-            f"  held-out {mounting['held_out_error_off_px']:.3f} ->"
-            f" {mounting['held_out_error_px']:.3f} px"
+            f"  held-out {extrinsics['held_out_error_off_px']:.3f} ->"
+            f" {extrinsics['held_out_error_px']:.3f} px"
         )
-        line += f"  sigma {mounting['sigma_translation']}  bad {len(mounting['bad_pairs'])}"
+        line += f"  sigma {extrinsics['sigma_translation']}  bad {len(extrinsics['bad_pairs'])}"
     if rig and rig["cameras"]:
         camera = rig["cameras"][0]
         line += (
@@ -281,7 +280,7 @@ def main():
                             "length_m": length,
                             "offset_ms": 1e3 * clock["offset_s"],
                             "offset_sd_ms": 1e3 * (clock["offset_sd_s"] or float("nan")),
-                            "timing": clock["timing"],
+                            "clock_state": clock["state"],
                         }
             if "report" in report:
                 report = report["report"]

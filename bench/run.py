@@ -119,16 +119,16 @@ def table_photos(cases):
     return rows
 
 
-# ---- doors: phone folders, beside COLMAP and beside the clean folder -----------------------------
+# ---- phone_folders: folders of a phone, beside COLMAP and beside the clean folder ----------------
 
 
-def measure_doors():
-    return script("doors.py", "--seeds", len(SEEDS))["runs"]
+def measure_phone_folders():
+    return script("phone_folders.py", "--seeds", len(SEEDS))["runs"]
 
 
-def table_doors(runs):
+def table_phone_folders(runs):
     head = (
-        "set, folder | registered: COLMAP / tiepoint | strangers | error: COLMAP / tiepoint"
+        "set, folder | registered: COLMAP / tiepoint | distractors | error: COLMAP / tiepoint"
         " | tiepoint to its clean | focal lengths off by (%): COLMAP / tiepoint | cameras"
     )
     rows = [head.split(" | ")]
@@ -154,7 +154,7 @@ def table_doors(runs):
                 f"{name}, {folder}",
                 " / ".join(f"{min(run['registered'] for run in found)}" for found in both)
                 + f" of {ours[0]['photos']}",
-                " / ".join(value(found, "strangers", 1, 0) for found in both),
+                " / ".join(value(found, "distractors", 1, 0) for found in both),
                 " / ".join(value(found, "error", 1, 2) for found in both),
                 ratio,
                 " / ".join(value(found, "focal", 100, 2) for found in both),
@@ -196,7 +196,7 @@ def table_pairs(runs):
 
 # ---- kitti: the modes of --rig on clips of 51 frames --------------------------------------------
 
-KITTI_MODES = ["off", "paper", "soft", "auto", "hard"]
+KITTI_MODES = ["off", "paper", "soft", "auto", "rigid"]
 
 
 def measure_kitti():
@@ -244,12 +244,12 @@ def table_kitti(runs):
     return rows
 
 
-# ---- known-rig: a rig with known extrinsics, where matches of some moments are deleted -----------
+# ---- known-rig: a rig with known extrinsics, where matches of some frames are deleted -----------
 
 DELETED = {
     "all": "nothing",
     "right": "all of 6 right images",
-    "both": "all but 24 keypoints of each image of 6 moments",
+    "both": "all but 24 keypoints of each image of 6 frames",
 }
 
 
@@ -260,7 +260,7 @@ def measure_known_rig():
 def table_known_rig(runs):
     head = (
         "drive | deleted matches | `--rig` | registered | ATE (cm)"
-        " | largest error of an image of these moments (cm) | scale"
+        " | largest error of an image of these frames (cm) | scale"
     )
     rows = [head.split(" | ")]
     for key in dict.fromkeys((run["drive"], run["case"], run["mode"]) for run in runs):
@@ -466,7 +466,7 @@ def table_splats(runs):
         moved, turned, flow = run["moved_mm"], run["turned_deg"], run["flow_px"]
         rows.append(
             [
-                run["mounting"],
+                run["view_direction"],
                 run["poses"],
                 " and ".join(f"{value:.2f}" for value in run["readouts_ms"]),
                 str(run["images"]),
@@ -537,7 +537,7 @@ ONE = "one run"
 # counts.
 TABLES = {
     "photos": ("photos.md", LIBRARIES, measure_photos, table_photos, SEEDED),
-    "doors": ("photos.md", LIBRARIES, measure_doors, table_doors, SEEDED),
+    "phone_folders": ("photos.md", LIBRARIES, measure_phone_folders, table_phone_folders, SEEDED),
     "pairs": ("matching.md", ["matching", "pipeline", "synth"], measure_pairs, table_pairs, ONE),
     "kitti": ("drives.md", LIBRARIES, measure_kitti, table_kitti, SEEDED),
     "known-rig": ("drives.md", LIBRARIES, measure_known_rig, table_known_rig, SEEDED),

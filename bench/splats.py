@@ -4,7 +4,7 @@ of rendered drives.
 
     pip install numpy pycolmap==4.2.1
     cargo build --release
-    python bench/splats.py [--mountings front right] [--frames 40] [--results RESULTS.json]
+    python bench/splats.py [--view-directions front right] [--frames 40] [--results RESULTS.json]
 
 Each drive is rendered with a readout of 16 ms and nothing else that disturbs, and reconstructed.
 Poses: `estimate` are those of a model whose readout times are estimated, `given` those of one with
@@ -196,11 +196,11 @@ def set_true_poses(folder, middle):
     model.write(folder)
 
 
-def measure(mounting, options, scratch):
+def measure(direction, options, scratch):
     drive, workspace = scratch / "drive", scratch / "ws"
     tiepoint(
         "synth", "-o", drive, "--effects", "rolling-shutter", "--rate", RATE_HZ, "--depths",
-        "--frames", options.frames, "--mounting", mounting, "--size", f"{SIZE[0]}x{SIZE[1]}",
+        "--frames", options.frames, "--view-direction", direction, "--size", f"{SIZE[0]}x{SIZE[1]}",
     )
     truth = truth_of(drive)
     shutter = ["--rig", "off", "--rolling-shutter"]
@@ -213,8 +213,8 @@ def measure(mounting, options, scratch):
         elif poses == "true":
             set_true_poses(workspace / "sparse/0", truth[0])
         found, total, readouts = exported(workspace, scratch / f"gsplat-{poses}")
-        run = {"mounting": mounting, "poses": poses, "exported": total, "readouts_ms": readouts}
-        runs.append(run | compared(drive, found, truth))
+        run = {"view_direction": direction, "poses": poses, "exported": total}
+        runs.append(run | {"readouts_ms": readouts} | compared(drive, found, truth))
         print(json.dumps(runs[-1]), flush=True)
     return runs
 
@@ -222,14 +222,14 @@ def measure(mounting, options, scratch):
 def main():
     pycolmap.logging.minloglevel = pycolmap.logging.WARNING
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--mountings", nargs="+", default=["front", "right"])
+    parser.add_argument("--view-directions", nargs="+", default=["front", "right"])
     parser.add_argument("--frames", type=int, default=40)
     parser.add_argument("--results", type=pathlib.Path)
     options = parser.parse_args()
     runs = []
-    for mounting in options.mountings:
+    for direction in options.view_directions:
         with tempfile.TemporaryDirectory() as scratch:
-            runs += measure(mounting, options, pathlib.Path(scratch))
+            runs += measure(direction, options, pathlib.Path(scratch))
     if options.results:
         options.results.write_text(json.dumps({"runs": runs}))
 

@@ -91,8 +91,8 @@ pub fn write_model(dir: &Path) {
 /// `rig.json` of that model.
 pub const RIG: &str = r#"{"format": 1, "reference": "left", "cameras": [
   {"name": "right", "rotation_wxyz": [1.0, 0.0, 0.0, 0.0],
-  "translation": [-0.5, 0.0, 0.0], "centre_in_rig": [0.5, 0.0, 0.0], "hold": "hard",
-  "clock": {"timing": "together", "offset_s": 0.0, "offset_sd_s": null, "drift_ppm": 0.0,
+  "translation": [-0.5, 0.0, 0.0], "centre_in_rig": [0.5, 0.0, 0.0], "constraint": "rigid",
+  "clock": {"state": "synchronised", "offset_s": 0.0, "offset_sd_s": null, "drift_ppm": 0.0,
    "drift_sd_ppm": null, "pivot_s": 0.5},
   "covariance": null, "rotation_sd_deg": null, "translation_sd": null}]}"#;
 

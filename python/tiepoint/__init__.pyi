@@ -366,7 +366,7 @@ def synth(
     rate: Optional[Value] = None,
     route: Optional[Value] = None,
     length: Optional[Value] = None,
-    mounting: Optional[Value] = None,
+    view_direction: Optional[Value] = None,
     effects: Optional[Value] = None,
     scan: bool = False,
     depths: bool = False,

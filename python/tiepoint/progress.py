@@ -14,7 +14,7 @@ STEPS = {"image_done", "image_skipped", "pair_done", "dense_done"}
 LINES = {
     "image_skipped": "skipped {why}",
     "pairs_chosen": "matching {pairs} pairs ({selection})",
-    "points_grey": "the points have no colours: {why}",
+    "colors_missing": "the points have no colours: {why}",
     "camera_calibrated": "the camera of {image} is calibrated by {calibration}",
 }
 

@@ -6,7 +6,7 @@ use std::ops::ControlFlow;
 use criterion::{BatchSize, Criterion, criterion_group, criterion_main};
 use tiepoint_ba::factors::Reprojection;
 use tiepoint_ba::nalgebra::{Vector2, Vector3, Vector4};
-use tiepoint_ba::{Key, LinearSolver, Loss, Options, Order, Problem, Solver};
+use tiepoint_ba::{EliminationOrder, Key, LinearSolver, Loss, Options, Problem, Solver};
 use tiepoint_geometry::cameras::Pinhole;
 use tiepoint_geometry::{CameraModel, Rigid3, Rng};
 
@@ -18,7 +18,7 @@ const TRACK_LENGTH: usize = 5;
 fn drive() -> (Problem, Vec<Key<Rigid3>>) {
     let (mut problem, mut rng) = (Problem::new(), Rng::stream(1, &[]));
     let intrinsics = Vector4::new(900.0, 900.0, 960.0, 540.0);
-    let intrinsics_key = problem.add_parameter(intrinsics, Order::Shared);
+    let intrinsics_key = problem.add_parameter(intrinsics, EliminationOrder::Last);
     problem.fix(intrinsics_key);
     let at = |i: usize, side: usize| {
         Rigid3::from_axis_angle(
@@ -28,7 +28,7 @@ fn drive() -> (Problem, Vec<Key<Rigid3>>) {
     };
     let poses: Vec<_> = (0..FRAMES)
         .flat_map(|i| [0, 1].map(|side| (i, side)))
-        .map(|(i, side)| problem.add_parameter(at(i, side), Order::At(i as u32)))
+        .map(|(i, side)| problem.add_parameter(at(i, side), EliminationOrder::At(i as u32)))
         .collect();
     problem.fix(poses[0]);
     problem.fix(poses[1]);

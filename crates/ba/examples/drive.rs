@@ -12,7 +12,7 @@ use std::time::Instant;
 
 use tiepoint_ba::factors::Reprojection;
 use tiepoint_ba::nalgebra::{Matrix3, SMatrix, SVector, Vector2, Vector3, Vector4};
-use tiepoint_ba::{Error, Factor, Linear, Loss, Options, Order, Problem, Refs, Solver};
+use tiepoint_ba::{EliminationOrder, Error, Factor, Linear, Loss, Options, Problem, Refs, Solver};
 use tiepoint_geometry::cameras::Pinhole;
 use tiepoint_geometry::{CameraModel, Rigid3, Rng, so3};
 
@@ -63,7 +63,7 @@ fn drive(
     let mut problem = Problem::new();
     let intrinsics = Vector4::new(900.0, 900.0, 960.0, 540.0);
     let intrinsics_keys = [0, 1].map(|_| {
-        problem.add_parameter(intrinsics + Vector4::new(3.0, 3.0, 0.0, 0.0), Order::Shared)
+        problem.add_parameter(intrinsics + Vector4::new(3.0, 3.0, 0.0, 0.0), EliminationOrder::Last)
     });
     intrinsics_keys.iter().try_for_each(|&key| problem.fix_dofs(key, &[2, 3]))?;
     let radius = STEP_M * frames as f64 / std::f64::consts::TAU;
@@ -90,7 +90,7 @@ fn drive(
         poses.push(both.map(|pose| {
             problem.add_parameter(
                 if i < 2 { pose } else { perturbation() * pose },
-                Order::At(i as u32),
+                EliminationOrder::At(i as u32),
             )
         }));
         truth.push(both);

@@ -6,7 +6,9 @@
 use std::ops::ControlFlow;
 
 use tiepoint_ba::nalgebra::Vector4;
-use tiepoint_ba::{AutoDiff, Error, Loss, Options, Order, Problem, Residual, Scalar, Solver};
+use tiepoint_ba::{
+    AutoDiff, EliminationOrder, Error, Loss, Options, Problem, Residual, Scalar, Solver,
+};
 
 /// Measurement of a e^(−b t) cos(c t + d) at time `t`.
 struct Sample {
@@ -29,7 +31,7 @@ fn main() -> Result<(), Error> {
     let truth = Vector4::new(2.0, 0.3, 4.0, 0.5);
     let mut rng = tiepoint_geometry::Rng::stream(0, &[]);
     let mut problem = Problem::new();
-    let curve = problem.add_parameter(Vector4::new(1.0, 0.1, 3.8, 0.0), Order::Shared);
+    let curve = problem.add_parameter(Vector4::new(1.0, 0.1, 3.8, 0.0), EliminationOrder::Last);
     let sigma = 0.05;
     for i in 0..200 {
         let t = f64::from(i) * 0.02;

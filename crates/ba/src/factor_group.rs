@@ -352,12 +352,13 @@ mod tests {
 
     use super::*;
     use crate::factors::Reprojection;
-    use crate::{Order, Problem};
+    use crate::{EliminationOrder, Problem};
 
     #[test]
     fn variable_alone_has_its_columns_of_all() {
         let mut problem = Problem::new();
-        let intrinsics = problem.add_parameter(Vector3::new(600.0, 320.0, 240.0), Order::Shared);
+        let intrinsics =
+            problem.add_parameter(Vector3::new(600.0, 320.0, 240.0), EliminationOrder::Last);
         let pose = problem.add_landmark(Rigid3::identity());
         // The last one is behind the camera.
         for z in [5.0, 7.0, -5.0] {

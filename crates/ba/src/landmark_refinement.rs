@@ -27,7 +27,7 @@ pub(crate) struct LandmarkRefinement {
     pub(crate) tasks: Vec<TaskRefinement>,
     /// For each store: offsets of the landmarks' steps, or [`FIXED`]; empty for stores without
     /// landmarks.
-    step_at: Vec<Vec<u32>>,
+    step_offsets: Vec<Vec<u32>>,
     /// Steps of the landmarks.
     steps: Vec<f64>,
     /// Values before the steps, of stores with landmarks.
@@ -61,7 +61,7 @@ impl LandmarkRefinement {
         let mut this = Self {
             rounds,
             tasks: structure.tasks.iter().map(state).collect(),
-            step_at: Vec::new(),
+            step_offsets: Vec::new(),
             steps: Vec::new(),
             base: Values::default(),
         };
@@ -73,8 +73,8 @@ impl LandmarkRefinement {
 
     /// Allocates the buffers of the rounds.
     fn allocate_rounds(&mut self, problem: &Problem, structure: &Structure) {
-        self.step_at = structure.step_at.clone();
-        for at in self.step_at.iter_mut().flatten() {
+        self.step_offsets = structure.step_offsets.clone();
+        for at in self.step_offsets.iter_mut().flatten() {
             // Offsets without the steps of the kept variables.
             *at = if *at == FIXED {
                 FIXED
@@ -82,7 +82,7 @@ impl LandmarkRefinement {
                 at.checked_sub(structure.kept_len as u32).unwrap_or(FIXED)
             };
         }
-        for at in &mut self.step_at {
+        for at in &mut self.step_offsets {
             if at.iter().all(|&at| at == FIXED) {
                 at.clear();
             }
@@ -167,7 +167,7 @@ impl LandmarkRefinement {
             }
             let min_gain = MIN_RELATIVE_GAIN * self.cost() / landmarks.max(1) as f64;
             for ((trial, base), at) in
-                trial.stores.iter_mut().zip(&mut self.base.stores).zip(&self.step_at)
+                trial.stores.iter_mut().zip(&mut self.base.stores).zip(&self.step_offsets)
             {
                 if !at.is_empty() {
                     std::mem::swap(trial, base);

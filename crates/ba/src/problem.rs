@@ -10,7 +10,7 @@ use crate::factor::{Factor, IntoKeys, ValuesRef, Vars};
 use crate::factor_group::{AnyFactorGroup, FactorGroup};
 use crate::retraction::Retraction;
 use crate::variable::{
-    AnyKey, Key, MAX_DOF, MAX_ELIMINATED_DOF, Meta, Order, Role, Values, all_free,
+    AnyKey, EliminationOrder, Key, MAX_DOF, MAX_ELIMINATED_DOF, Meta, Role, Values, all_free,
 };
 
 /// A nonlinear least-squares problem: variables on manifolds and factors between them, which
@@ -44,7 +44,7 @@ impl Problem {
 
     /// Adds a variable that stays in the reduced system. `order` is its place in the elimination
     /// order.
-    pub fn add_parameter<V: Manifold>(&mut self, value: V, order: Order) -> Key<V> {
+    pub fn add_parameter<V: Manifold>(&mut self, value: V, order: EliminationOrder) -> Key<V> {
         self.insert(value, Role::Kept(order))
     }
 

@@ -145,7 +145,7 @@ impl LinearSystem for QrSystem {
         times: &mut Times,
     ) -> Option<Attempt> {
         let predicted_reduction = self.step(lambda, times)?;
-        let step = Step { values, numbers: &self.step, at: &self.structure.step_at };
+        let step = Step { values, tangents: &self.step, offsets: &self.structure.step_offsets };
         step.take(problem.retraction.as_deref(), trial);
         let cost = self.trial_cost(problem, trial, times);
         Some(Attempt { predicted_reduction, cost: cost.unwrap_or(f64::INFINITY), dropped: 0 })

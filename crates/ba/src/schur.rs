@@ -11,7 +11,9 @@ use crate::linear_system::{Attempt, LinearSystem, Linearised};
 use crate::memory::Memory;
 use crate::options::LinearSolver;
 use crate::problem::Problem;
-use crate::reduced::{Columns, Conjugate, Dense, EliminatedSystem, Factorisation, Reduced, Sparse};
+use crate::reduced::{
+    Columns, ConjugateGradients, Dense, EliminatedSystem, Factorisation, Reduced, Sparse,
+};
 use crate::retraction::Step;
 use crate::structure::{Elimination, FACTORS_PER_TASK, Structure, Task, for_each_task};
 use crate::summary::Times;
@@ -79,7 +81,9 @@ impl SchurSystem {
                 Err(columns) if columns.num_numbers() > structure.num_coupled() => {
                     return Self::implicit(problem, refinements);
                 }
-                Err(columns) => ("conjugate gradients", Box::new(Conjugate::new(columns, false))),
+                Err(columns) => {
+                    ("conjugate gradients", Box::new(ConjugateGradients::new(columns, false)))
+                }
             }
         };
         Ok(Self::of(problem, structure, refinements, name, factorisation))
@@ -88,7 +92,7 @@ impl SchurSystem {
     /// A system that never forms the reduced system.
     fn implicit(problem: &Problem, refinements: usize) -> Result<Self, Error> {
         let structure = Structure::new(problem, Elimination::Implicit)?;
-        let factorisation = Box::new(Conjugate::new(Columns::new(&structure)?, true));
+        let factorisation = Box::new(ConjugateGradients::new(Columns::new(&structure)?, true));
         Ok(Self::of(problem, structure, refinements, "implicit conjugate gradients", factorisation))
     }
 
@@ -145,7 +149,7 @@ impl SchurSystem {
             if this.landmarks[landmark].dof == 0 {
                 return None;
             }
-            let step = Step { values, numbers: step, at: &structure.step_at };
+            let step = Step { values, tangents: step, offsets: &structure.step_offsets };
             if !halve_step(problem, &step, trial, this, landmark, (costs_before, costs)) {
                 dropped += drop_invalid_residuals(this.factors_of(landmark), costs_before, costs)?;
             }
@@ -168,7 +172,7 @@ fn halve_step(
 ) -> bool {
     let factors = task.factors_of(landmark);
     let landmark = &task.landmarks[landmark];
-    let tangent = &step.numbers[landmark.step..][..landmark.dof as usize];
+    let tangent = &step.tangents[landmark.step..][..landmark.dof as usize];
     let variable = (landmark.store as usize, landmark.slot as usize);
     for halving in 1..=MAX_HALVINGS {
         let scale = if halving == MAX_HALVINGS { 0.0 } else { 0.5f64.powi(halving) };
@@ -252,7 +256,7 @@ impl LinearSystem for SchurSystem {
             let predicted_reduction = self.solve_step(lambda, times)?;
             let begin = Instant::now();
             let Self { structure, step, .. } = self;
-            let step = Step { values, numbers: step, at: &structure.step_at };
+            let step = Step { values, tangents: step, offsets: &structure.step_offsets };
             step.take(problem.retraction.as_deref(), trial);
             times.back_substitute += begin.elapsed();
             let (cost, dropped) =

@@ -19,7 +19,7 @@ use tiepoint_geometry::{Rigid3, so3};
 
 use crate::error::Error;
 use crate::problem::Problem;
-use crate::retraction::{Moved, Retraction, Step, StepOf};
+use crate::retraction::{RetractedValues, Retraction, Step, TypedStep};
 use crate::variable::{AnyKey, Key};
 
 /// Index of a pose that does not exist.
@@ -95,7 +95,7 @@ impl SpanningTree {
     /// Position of a point after a step by `tangent`.
     fn moved_point(
         &self,
-        poses: &StepOf<'_, Rigid3>,
+        poses: &TypedStep<'_, Rigid3>,
         after: &[Rigid3],
         (point, position): (usize, &Vector3<f64>),
         tangent: &[f64],
@@ -113,7 +113,7 @@ impl SpanningTree {
 }
 
 impl Retraction for SpanningTree {
-    fn retract(&self, step: &Step<'_>, moved: &mut Moved<'_>) {
+    fn retract(&self, step: &Step<'_>, moved: &mut RetractedValues<'_>) {
         let (Some(poses), Some(points)) = (step.of::<Rigid3>(), step.of::<Vector3<f64>>()) else {
             return;
         };
@@ -146,7 +146,13 @@ impl Retraction for SpanningTree {
         positions.with_min_len(POINTS_PER_JOB).for_each(move_point);
     }
 
-    fn retract_one(&self, step: &Step<'_>, key: AnyKey, tangent: &[f64], moved: &mut Moved<'_>) {
+    fn retract_one(
+        &self,
+        step: &Step<'_>,
+        key: AnyKey,
+        tangent: &[f64],
+        moved: &mut RetractedValues<'_>,
+    ) {
         let (Some(poses), Some(points)) = (step.of::<Rigid3>(), step.of::<Vector3<f64>>()) else {
             return;
         };
@@ -195,7 +201,7 @@ struct Motion {
 }
 
 impl Motion {
-    fn of(poses: &StepOf<'_, Rigid3>, index: usize) -> Self {
+    fn of(poses: &TypedStep<'_, Rigid3>, index: usize) -> Self {
         let Some(tangent) = poses.tangent(index) else {
             return Self { rotation: Vector3::zeros(), centre: Vector3::zeros() };
         };
@@ -229,7 +235,7 @@ mod tests {
     use tiepoint_geometry::Manifold;
 
     use super::*;
-    use crate::variable::{FIXED, Order, Values};
+    use crate::variable::{EliminationOrder, FIXED, Values};
 
     const POSES: usize = 6;
     /// Rounding of positions of some tens of units, moved a few times.
@@ -256,8 +262,10 @@ mod tests {
             .map(|i| {
                 let centre = Vector3::new(5.0 * i as f64, 0.0, 0.0) + perturbations[i].0;
                 let rotation = so3::exp(&perturbations[i].1);
-                problem
-                    .add_parameter(Rigid3::new(rotation, -(rotation * centre)), Order::At(i as u32))
+                problem.add_parameter(
+                    Rigid3::new(rotation, -(rotation * centre)),
+                    EliminationOrder::At(i as u32),
+                )
             })
             .collect();
         if fix_first {
@@ -285,8 +293,8 @@ mod tests {
         let pose_at: Vec<u32> =
             (0..POSES as u32).map(|i| if fix_first && i == 0 { FIXED } else { 6 * i }).collect();
         let point_at: Vec<u32> = (0..POSES as u32).map(|i| 6 * POSES as u32 + 3 * i).collect();
-        let step_at = [pose_at, point_at];
-        let step = Step { values: &problem.values, numbers: step, at: &step_at };
+        let step_offsets = [pose_at, point_at];
+        let step = Step { values: &problem.values, tangents: step, offsets: &step_offsets };
         [None, Some(tree as &dyn Retraction)].map(|retraction| {
             let mut trial: Values = problem.values.clone();
             step.take(retraction, &mut trial);

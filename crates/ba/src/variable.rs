@@ -87,17 +87,17 @@ impl<V: Manifold> From<Key<V>> for AnyKey {
 
 /// Position of a kept variable in the elimination order of the reduced system.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Order {
+pub enum EliminationOrder {
     /// At a time, such as a frame number: variables that share factors should have nearby times.
     At(u32),
-    /// Last, for a variable that many frames share: camera intrinsics or rig extrinsics.
-    Shared,
+    /// After all others, for a variable that many frames share: camera intrinsics or rig extrinsics.
+    Last,
 }
 
 /// Treatment of a variable by the solver.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Role {
-    Kept(Order),
+    Kept(EliminationOrder),
     Eliminated,
 }
 

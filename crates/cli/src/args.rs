@@ -12,15 +12,15 @@ use tiepoint_pipeline::eval::Alignment;
 use tiepoint_pipeline::io::{ABSOLUTE_MAX_PIXELS, DEFAULT_MAX_PIXELS};
 use tiepoint_pipeline::sfm::geometry::{CameraModelKind, Intrinsics};
 use tiepoint_pipeline::sfm::matching::PairSelection;
-use tiepoint_pipeline::sfm::{Readout, RigTerm};
+use tiepoint_pipeline::sfm::{Readout, RigMode};
 use tiepoint_pipeline::{
     Calibration, CalibrationSource, CameraGrouping, ExportFormat, Stage, Truth, UndistortOptions,
 };
-use tiepoint_synth::{Effects, Mounting, RouteKind};
+use tiepoint_synth::{Effects, RouteKind, ViewDirection};
 
-pub(crate) use values::{CropBox, ImageSize, Metres, Quantiles, Refine, rig_name, threads};
+pub(crate) use values::{CropBox, ImageSize, Metres, Quantiles, Refine, threads};
 use values::{
-    NumberList, PositivePixels, alignment, camera_model, positive, readout, refine, rig_term, route,
+    NumberList, PositivePixels, alignment, camera_model, positive, readout, refine, rig_mode, route,
 };
 
 /// Structure from motion for cameras mounted on one vehicle: photos in, a COLMAP model out.
@@ -335,11 +335,11 @@ pub(crate) struct Mapping {
     /// Constraint on the relative poses of the cameras of a rig. off: none. paper: the baseline
     /// constraint of Huang, Elhashash & Qin 2022; the relative pose is the same at consecutive
     /// frames. soft: one sensor_from_rig per camera with standard deviations as small as held-out
-    /// tracks allow. hard: one exact sensor_from_rig per camera. auto: the strongest of off, soft
-    /// and hard that held-out tracks do not contradict. Cameras need not be synchronised: their
+    /// tracks allow. rigid: one exact sensor_from_rig per camera. auto: the strongest of off, soft
+    /// and rigid that held-out tracks do not contradict. Cameras need not be synchronised: their
     /// time offsets are estimated (paper: to half a frame interval).
-    #[arg(long, value_name = "MODE", default_value = "auto", value_parser = rig_term)]
-    pub(crate) rig: RigTerm,
+    #[arg(long, value_name = "MODE", default_value = "auto", value_parser = rig_mode)]
+    pub(crate) rig: RigMode,
     /// Known rigs: COLMAP's rig_config.json (photos of one frame have the same name after their
     /// image_prefix) or Kalibr's camchain (its cameras are the folders, by name or in their order;
     /// photos of one frame have the same name, or the same time). Frames are registered as a whole,
@@ -658,10 +658,10 @@ pub(crate) struct Synth {
     pub(crate) length: f64,
     /// Viewing direction of both cameras, half a metre apart: front, front-right, right, rear or
     /// left.
-    #[arg(long, value_name = "MOUNTING", default_value = "front")]
-    pub(crate) mounting: Mounting,
+    #[arg(long, value_name = "DIRECTION", default_value = "front")]
+    pub(crate) view_direction: ViewDirection,
     /// Imperfections to simulate: none, all, or a list joined by + of lens, rolling-shutter,
-    /// vibration, mounting, traffic, clocks and photometry.
+    /// vibration, misalignment, traffic, clocks and photometry.
     #[arg(long, value_name = "NAMES", default_value = "none")]
     pub(crate) effects: Effects,
     /// Also writes truth/scan.ply, the cloud of a laser scanner on the roof, for `evaluate cloud`.
@@ -698,15 +698,15 @@ pub(crate) enum Experiment {
     Baseline {
         #[command(flatten)]
         scenery: Scenery,
-        /// Rig constraints to compare, a row each: off, paper, soft, hard, auto.
+        /// Rig constraints to compare, a row each: off, paper, soft, rigid, auto.
         #[arg(
             long,
             value_name = "MODES",
             value_delimiter = ',',
             default_value = "off,paper,auto",
-            value_parser = rig_term
+            value_parser = rig_mode
         )]
-        rig: Vec<RigTerm>,
+        rig: Vec<RigMode>,
     },
 }
 

@@ -61,7 +61,7 @@ impl Progress {
         match *event {
             Event::StageBegan { stage, total, done } => self.start_bar(stage.name(), total, done),
             Event::StageKept { .. } => {}
-            Event::SoundHeard { reference, recording, after_s } => self.print_line(&format!(
+            Event::AudioOffset { reference, recording, after_s } => self.print_line(&format!(
                 "audio synchronisation: {recording} started {:.3} s {} {reference}",
                 after_s.abs(),
                 if after_s < 0.0 { "before" } else { "after" }
@@ -73,7 +73,7 @@ impl Progress {
                 "{recording} was recorded with electronic stabilisation, which changes intrinsics \
                 and rig extrinsics from frame to frame: switch it off when recording"
             )),
-            Event::FrameKept { image, read } => {
+            Event::FrameSelected { image, read } => {
                 if self.bar.is_hidden() || self.bar.length().is_some() {
                     self.set_bar(ProgressBar::new_spinner());
                 }
@@ -92,7 +92,7 @@ impl Progress {
                 "{image}: its EXIF focal length of {focal_px:.3e} pixels is impossible and is \
                 ignored: give --focal-prior PX if you know it"
             )),
-            Event::PointsGrey { why } => {
+            Event::ColorsMissing { why } => {
                 self.print_line(&format!("the points have no colours: {why}"))
             }
             Event::ImageDone { image, keypoints } => {
@@ -107,7 +107,7 @@ impl Progress {
                 self.show(&format!("{image1}, {image2}: {inliers} matches"));
                 self.bar.inc(1);
             }
-            Event::ModelBegan { image1, image2, points } => {
+            Event::ModelInitialised { image1, image2, points } => {
                 self.show(&format!("initial pair {image1}, {image2}: {points} points"));
                 self.bar.set_position(2);
             }

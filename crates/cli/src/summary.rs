@@ -4,8 +4,8 @@ use std::fmt::Write;
 use std::path::Path;
 
 use tiepoint_pipeline::{
-    CloudEvaluation, DenseReport, ErrorStatistics, ModelReport, PoseEvaluation, RegisteredCloud,
-    Report, RigCamera, RigidReport, SplitReport,
+    CloudEvaluation, ConstraintKind, DenseReport, ErrorStatistics, ModelReport, PoseEvaluation,
+    RegisteredCloud, Report, RigCamera, RigClockState, RigidReport, SplitReport,
 };
 
 use crate::output::printable;
@@ -105,7 +105,12 @@ pub(crate) fn report(workspace: &Path, report: &Report) -> String {
                 ));
             }
             if let Some(extrinsics) = &rig.extrinsics {
-                line(format_args!("          {}: {}", extrinsics.chosen, extrinsics.why));
+                let chosen = match extrinsics.chosen {
+                    None => "off",
+                    Some(ConstraintKind::Soft) => "soft",
+                    Some(ConstraintKind::Rigid) => "rigid",
+                };
+                line(format_args!("          {chosen}: {}", extrinsics.why));
                 for camera in extrinsics.rig.iter().flat_map(|rig| &rig.cameras) {
                     line(format_args!("          {}", camera_extrinsics(camera)));
                 }
@@ -180,20 +185,25 @@ fn camera_extrinsics(camera: &RigCamera) -> String {
         _ => format!("rotated by {angle_deg:.3}\u{b0}, undetermined by the images"),
     };
     let offset_ms = 1e3 * clock.offset_s;
-    let time = match (clock.state.as_str(), clock.offset_sd_s) {
-        ("free", Some(sd_s)) => format!(
+    let time = match (clock.state, clock.offset_sd_s) {
+        (RigClockState::Estimated, Some(sd_s)) => format!(
             "time offset {offset_ms:+.2} \u{b1} {:.2} ms, skew {:+.0} \u{b1} {:.0} ppm",
             1e3 * sd_s,
             clock.drift_ppm,
             clock.drift_sd_ppm.unwrap_or(f64::INFINITY),
         ),
-        ("free", None) => format!("time offset {offset_ms:+.2} ms"),
-        ("not observable", _) => {
+        (RigClockState::Estimated, None) => format!("time offset {offset_ms:+.2} ms"),
+        (RigClockState::Unobservable, _) => {
             format!("time offset unobservable, fixed at {offset_ms:+.2} ms")
         }
-        _ => format!("synchronised, time offset {offset_ms:+.2} ms"),
+        (RigClockState::Synchronised, _) => {
+            format!("synchronised, time offset {offset_ms:+.2} ms")
+        }
     };
-    let frames = if camera.constraint == "hard" { "" } else { ", not rigid frames" };
+    let frames = match camera.constraint {
+        ConstraintKind::Rigid => "",
+        ConstraintKind::Soft => ", not rigid frames",
+    };
     let unobservable = camera.unobservable.map_or(String::new(), |[x, y, z]| {
         format!(
             "; without common points with the first camera, its position along ({x:.2}, {y:.2}, \

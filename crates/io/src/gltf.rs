@@ -146,11 +146,11 @@ fn write_glb(path: &Path, document: &Document, mut binary: Vec<u8>) -> Result<()
     })
 }
 
-/// What is subtracted from all positions.
+/// The point that is subtracted from all positions.
 fn origin(model: &Reconstruction, clouds: &[(&str, &[Vertex])]) -> Vector3<f64> {
     let centres = || model.registered().map(|(.., pose)| pose.origin_in_a());
     let points = clouds.iter().flat_map(|(_, vertices)| vertices.iter());
-    // Of the points most, since some may be anywhere.
+    // A majority of far points is required, because single points may be outliers.
     let (mut far, mut all) = (0, 0);
     for position in points.map(|vertex| vertex.xyz) {
         all += 1;

@@ -22,9 +22,10 @@ const MAX_LINE_BYTES: u64 = 1 << 26;
 ///
 /// # Errors
 ///
-/// If the file cannot be read, and if it is UTF-16.
+/// If the file is no regular one, cannot be read, or is UTF-16.
 fn open(path: &Path) -> Result<BufReader<File>> {
     const MARK: &[u8] = b"\xEF\xBB\xBF";
+    require_regular_file(path)?;
     let file = File::open(path).map_err(Error::io(path))?;
     let mut reader = BufReader::new(file);
     let begin = reader.fill_buf().map_err(Error::io(path))?;
@@ -53,7 +54,6 @@ fn open(path: &Path) -> Result<BufReader<File>> {
 ///
 /// If the file is no regular one, cannot be read, is longer, or is no UTF-8.
 pub fn read_text(path: &Path, max_bytes: u64, what: &str) -> Result<String> {
-    require_regular_file(path)?;
     let mut bytes = Vec::new();
     open(path)?.take(max_bytes + 1).read_to_end(&mut bytes).map_err(Error::io(path))?;
     if bytes.len() as u64 > max_bytes {

@@ -13,7 +13,7 @@ use std::time::Instant;
 
 use tiepoint_features::{Descriptor, Features, Keypoint};
 use tiepoint_matching::{
-    Ends, Match, Options, PairSelection, PreemptiveMatching, Prepared, Sequence, match_features,
+    Match, Options, PairSelection, PreemptiveMatching, Prepared, Sequence, match_features,
     match_prepared,
 };
 
@@ -22,7 +22,7 @@ const LEADING: [usize; 4] = [128, 256, 512, 1024];
 
 fn main() -> Result<(), Box<dyn Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
-    let [reach, stems @ ..] = arguments.as_slice() else {
+    let [overlap, stems @ ..] = arguments.as_slice() else {
         return Err("usage: preempt REACH STEM...".into());
     };
     let images: Vec<Features> = stems.iter().map(|stem| read(stem)).collect::<Result<_, _>>()?;
@@ -30,7 +30,8 @@ fn main() -> Result<(), Box<dyn Error>> {
         images.iter().map(|image| LEADING.map(|n| largest(image, n)).into()).collect();
     let prepared: Vec<Prepared> =
         images.iter().map(|image| Prepared::from_features(image, 512)).collect();
-    let selection = PairSelection::Sequential { reach: reach.parse()?, ends: Ends::Open, loops: 0 };
+    let selection =
+        PairSelection::Sequential { overlap: overlap.parse()?, is_closed: false, loops: 0 };
     let options = Options::default();
     let always_preempted =
         Options { preempt: Some(PreemptiveMatching { min_matches: u32::MAX }), ..options.clone() };

@@ -1,32 +1,20 @@
-//! Pairs without a given selection: which images are sequences, and which pairs follow.
+//! Automatic choice of image pairs: which images are sequences, and which pairs are matched.
 
 use crate::pairs::{Pair, Sequence, normalise};
 use crate::retrieval::Similar;
 
-/// Most images in all of which all pairs are matched: 19,900 pairs, minutes on a few cores. 100
-/// images would have a quarter of these pairs, 400 four times as many.
-pub const MAX_EXHAUSTIVE: usize = 200;
-/// Neighbours before and after an image of a sequence: the default overlap of COLMAP's sequential
-/// matcher. The time of matching is proportional to it; gaps are closed by similar images.
-pub const REACH: u32 = 10;
-/// Similar images of an image of a sequence beside its neighbours, for loops. If the camera comes
-/// back once, as many images see a place again as there are neighbours.
-pub const LOOPS: usize = 2 * REACH as usize;
-/// Similar images of an image of no sequence: the default of COLMAP's vocabulary tree matcher. Of
-/// 1,000 rendered photos with 90 true pairs each (`docs/benchmarks/matching.md`), half as many hold
-/// 0.53 of the true pairs with half the time of matching, and twice as many 0.83.
-pub const SIMILAR: usize = 100;
 /// Most cameras in parallel whose neighbours [`num_similar`] allows for. An image of a larger rig
 /// may have fewer loops.
 const MAX_PARALLEL: usize = 8;
 /// An order is that of a sequence if in this share of the images the next image is among the most
-/// similar ones. It is nearly 1 in a sequence, and at most `2 * REACH / MAX_EXHAUSTIVE` = 0.1 in a
-/// random order.
+/// similar ones. It is nearly 1 in a sequence, and at most
+/// 2 [`AutoPairs::OVERLAP`] / [`AutoPairs::MAX_EXHAUSTIVE`] = 0.1 in a random order.
 const MIN_ORDERED: f64 = 0.5;
 
-/// What orders the images of a camera. Positions of different kinds are not comparable.
+/// Source of the order of the images of a camera. Positions from different sources are not
+/// comparable.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Order {
+pub enum SequenceOrder {
     /// Nothing: the images are no sequence.
     Unknown,
     /// Their times.
@@ -40,8 +28,8 @@ pub enum Order {
 pub struct CameraImages {
     /// The images, with their times or numbers in ascending order if there is an order.
     pub sequence: Sequence,
-    /// What the order is from.
-    pub order: Order,
+    /// Source of the order.
+    pub order: SequenceOrder,
 }
 
 /// The pairs that [`PairSelection::Auto`](crate::PairSelection::Auto) selects.
@@ -49,25 +37,48 @@ pub struct CameraImages {
 pub struct AutoPairs {
     /// The pairs, sorted.
     pub pairs: Vec<Pair>,
-    /// Of each camera: whether its images are a sequence.
+    /// Whether the images of each camera are a sequence.
     pub is_sequence: Vec<bool>,
+}
+
+impl AutoPairs {
+    /// Largest number of images of which all pairs are matched: 19,900 pairs, minutes on a few
+    /// cores. 100 images have a quarter of these pairs, 400 four times as many.
+    pub const MAX_EXHAUSTIVE: usize = 200;
+    /// Number of neighbours before and after an image of a sequence: the default overlap of
+    /// COLMAP's sequential matcher. The time of matching is proportional to it; similar images
+    /// close gaps.
+    pub const OVERLAP: u32 = 10;
+    /// Number of similar images with which an image of a sequence is matched beside its neighbours,
+    /// for loops. If the camera comes back once, as many images see a place again as there are
+    /// neighbours.
+    pub const NUM_LOOP_IMAGES: usize = 2 * Self::OVERLAP as usize;
+    /// Number of similar images with which an image of no sequence is matched: the default of
+    /// COLMAP's vocabulary tree matcher. Of 1,000 rendered photos with 90 true pairs each
+    /// (`docs/benchmarks/matching.md`), half as many hold 0.53 of the true pairs with half the time
+    /// of matching, and twice as many 0.83.
+    pub const NUM_SIMILAR_IMAGES: usize = 100;
 }
 
 /// Number of similar images of each image that [`auto_pairs`] needs: the neighbours of a sequence
 /// in all cameras are among them.
 pub fn num_similar(cameras: &[CameraImages]) -> usize {
-    let ordered = cameras.iter().filter(|camera| camera.order != Order::Unknown).count();
-    SIMILAR.max(LOOPS + ordered.min(MAX_PARALLEL) * (2 * REACH as usize + 1))
+    let ordered = cameras.iter().filter(|camera| camera.order != SequenceOrder::Unknown).count();
+    AutoPairs::NUM_SIMILAR_IMAGES.max(
+        AutoPairs::NUM_LOOP_IMAGES
+            + ordered.min(MAX_PARALLEL) * (2 * AutoPairs::OVERLAP as usize + 1),
+    )
 }
 
 /// The pairs of images of which `similar` has the [`num_similar`] most similar images each, the
 /// most similar first.
 ///
-/// Images of a sequence have their [`REACH`] neighbours before and after, and the [`LOOPS`] most
-/// similar other images. All other images have their [`SIMILAR`] most similar images. The images
-/// of a camera with an order are a sequence if consecutive images are similar. Sequences of two
-/// cameras run in parallel if simultaneous images are similar; then each image has the
-/// simultaneous image of the other camera and its neighbours, too.
+/// Images of a sequence have their [`AutoPairs::OVERLAP`] neighbours before and after, and the
+/// [`AutoPairs::NUM_LOOP_IMAGES`] most similar other images. All other images have their
+/// [`AutoPairs::NUM_SIMILAR_IMAGES`] most similar images. The images of a camera with an order are
+/// a sequence if consecutive images are similar. Sequences of two cameras run in parallel if
+/// simultaneous images are similar; then each image has the simultaneous image of the other camera
+/// and its neighbours, too.
 pub fn auto_pairs(cameras: &[CameraImages], similar: &[Vec<Similar>]) -> AutoPairs {
     let is_sequence: Vec<bool> =
         cameras.iter().map(|camera| follows(camera, camera, similar)).collect();
@@ -85,7 +96,8 @@ pub fn auto_pairs(cameras: &[CameraImages], similar: &[Vec<Similar>]) -> AutoPai
     }
     let neighbours = normalise(pairs.clone());
     for (camera, is_sequence) in cameras.iter().zip(&is_sequence) {
-        let count = if *is_sequence { LOOPS } else { SIMILAR };
+        let count =
+            if *is_sequence { AutoPairs::NUM_LOOP_IMAGES } else { AutoPairs::NUM_SIMILAR_IMAGES };
         for &a in camera.sequence.images() {
             let others = similar[a as usize].iter().map(|other| (a, other.image));
             let is_new = |&(a, b): &Pair| neighbours.binary_search(&(a.min(b), a.max(b))).is_err();
@@ -98,12 +110,12 @@ pub fn auto_pairs(cameras: &[CameraImages], similar: &[Vec<Similar>]) -> AutoPai
 /// Whether the images of `to` are in the order of those of `from`: an image of `from` and its
 /// simultaneous image of `to`, or the next image if it is the same camera, are similar.
 fn follows(from: &CameraImages, to: &CameraImages, similar: &[Vec<Similar>]) -> bool {
-    if from.order == Order::Unknown || from.order != to.order {
+    if from.order == SequenceOrder::Unknown || from.order != to.order {
         return false;
     }
     let mut is_of_other = vec![false; similar.len()];
     to.sequence.images().iter().for_each(|&image| is_of_other[image as usize] = true);
-    let reach = 2 * REACH as usize;
+    let reach = 2 * AutoPairs::OVERLAP as usize;
     let next = usize::from(std::ptr::eq(from, to));
     let [mut ordered, mut all] = [0u32; 2];
     for (&image, position) in from.sequence.images().iter().zip(positions(from, to)) {
@@ -119,7 +131,7 @@ fn follows(from: &CameraImages, to: &CameraImages, similar: &[Vec<Similar>]) -> 
 
 /// Pairs each image with the neighbours of its simultaneous image, if there is one.
 fn push_neighbours(pairs: &mut Vec<Pair>, from: &CameraImages, to: &CameraImages) {
-    let reach = REACH as usize;
+    let reach = AutoPairs::OVERLAP as usize;
     let others = to.sequence.images();
     for (&image, position) in from.sequence.images().iter().zip(positions(from, to)) {
         let Some(centre) = position else { continue };

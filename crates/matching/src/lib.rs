@@ -18,9 +18,7 @@ mod pruned;
 mod random;
 mod retrieval;
 
-pub use auto_pairs::{
-    AutoPairs, CameraImages, LOOPS, MAX_EXHAUSTIVE, Order, REACH, SIMILAR, auto_pairs, num_similar,
-};
+pub use auto_pairs::{AutoPairs, CameraImages, SequenceOrder, auto_pairs, num_similar};
 pub use brute::{Isa, NearestBothWays, nearest, nearest_on};
 pub use error::Error;
 pub use forest::{Checks, Forest, ForestOptions};
@@ -28,7 +26,7 @@ pub use guided::{EpipolarGuide, match_guided};
 pub use matcher::{match_features, match_pairs, match_prepared, select};
 pub use matches::{Match, Nearest};
 pub use options::{Method, Options, PreemptiveMatching};
-pub use pairs::{Ends, Pair, PairSelection, Sequence};
+pub use pairs::{Pair, PairSelection, Sequence};
 pub use prepared::Prepared;
 pub use retrieval::{
     GlobalDescriptor, ImageWords, InvertedIndex, RetrievalIndex, Similar, Vocabulary,

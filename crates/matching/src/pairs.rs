@@ -24,9 +24,10 @@ pub enum PairSelection {
     /// Each image with its neighbours in time, of its own camera and of all other cameras.
     Sequential {
         /// Number of neighbours before and after the image.
-        reach: u32,
-        /// Whether the ends of the sequence are matched with each other.
-        ends: Ends,
+        overlap: u32,
+        /// For drives that return to their start: whether the first `overlap` images of every
+        /// camera are also matched with the last `overlap` images of every camera.
+        is_closed: bool,
         /// Number of similar images with which each image is matched too, for loop closures; 0 for
         /// none. [`RetrievalIndex::pairs`](crate::RetrievalIndex::pairs) retrieves them.
         loops: u32,
@@ -36,16 +37,6 @@ pub enum PairSelection {
         /// Number of similar images per image.
         count: u32,
     },
-}
-
-/// Whether the images at the beginning of a sequence are matched with those at its end, for drives
-/// that return to their start.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Ends {
-    /// They are not matched.
-    Open,
-    /// The first `reach` images of every camera are matched with the last `reach` of every camera.
-    Closed,
 }
 
 impl FromStr for PairSelection {
@@ -71,11 +62,11 @@ impl FromStr for PairSelection {
             Some((rest, digits)) => (rest, count(digits)?),
             None => (rest, 0),
         };
-        let (reach, ends) = match rest.strip_suffix("+ends") {
-            Some(reach) => (reach, Ends::Closed),
-            None => (rest, Ends::Open),
+        let (overlap, is_closed) = match rest.strip_suffix("+ends") {
+            Some(overlap) => (overlap, true),
+            None => (rest, false),
         };
-        Ok(PairSelection::Sequential { reach: count(reach)?, ends, loops })
+        Ok(PairSelection::Sequential { overlap: count(overlap)?, is_closed, loops })
     }
 }
 
@@ -84,9 +75,9 @@ impl fmt::Display for PairSelection {
         match *self {
             PairSelection::Auto => f.write_str("auto"),
             PairSelection::Exhaustive => f.write_str("exhaustive"),
-            PairSelection::Sequential { reach, ends, loops } => {
-                write!(f, "sequential:{reach}")?;
-                if ends == Ends::Closed {
+            PairSelection::Sequential { overlap, is_closed, loops } => {
+                write!(f, "sequential:{overlap}")?;
+                if is_closed {
                     f.write_str("+ends")?;
                 }
                 if loops > 0 {
@@ -123,15 +114,15 @@ impl PairSelection {
                 }
             }
             PairSelection::Auto | PairSelection::Similar { .. } => {}
-            PairSelection::Sequential { reach, ends, .. } => {
-                let reach = reach as usize;
+            PairSelection::Sequential { overlap, is_closed, .. } => {
+                let overlap = overlap as usize;
                 for (from, to) in
                     cameras.iter().flat_map(|from| cameras.iter().map(move |to| (from, to)))
                 {
-                    push_neighbours(&mut pairs, from, to, reach);
-                    if ends == Ends::Closed {
-                        let first = &from.images[..reach.min(from.images.len())];
-                        let last = &to.images[to.images.len().saturating_sub(reach)..];
+                    push_neighbours(&mut pairs, from, to, overlap);
+                    if is_closed {
+                        let first = &from.images[..overlap.min(from.images.len())];
+                        let last = &to.images[to.images.len().saturating_sub(overlap)..];
                         pairs.extend(first.iter().flat_map(|&i| last.iter().map(move |&j| (i, j))));
                     }
                 }
@@ -215,9 +206,9 @@ impl Sequence {
     }
 }
 
-/// Pairs each image of `from` with the simultaneous image of `to` and the `reach` images before and
+/// Pairs each image of `from` with the simultaneous image of `to` and the `overlap` images before
 /// after it.
-fn push_neighbours(pairs: &mut Vec<Pair>, from: &Sequence, to: &Sequence, reach: usize) {
+fn push_neighbours(pairs: &mut Vec<Pair>, from: &Sequence, to: &Sequence, overlap: usize) {
     let by_time = from.times_s.len() == from.images.len() && to.times_s.len() == to.images.len();
     let is_same_camera = std::ptr::eq(from, to);
     for (position, &image) in from.images.iter().enumerate() {
@@ -226,8 +217,8 @@ fn push_neighbours(pairs: &mut Vec<Pair>, from: &Sequence, to: &Sequence, reach:
         } else {
             position
         };
-        let first = centre.saturating_sub(reach).min(to.images.len());
-        let last = centre.saturating_add(reach).saturating_add(1).min(to.images.len());
+        let first = centre.saturating_sub(overlap).min(to.images.len());
+        let last = centre.saturating_add(overlap).saturating_add(1).min(to.images.len());
         pairs.extend(to.images[first..last].iter().map(|&other| (image, other)));
     }
 }

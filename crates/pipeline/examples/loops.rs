@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! cargo run --release -p tiepoint-pipeline --example loops -- \
-//!     [SEEDS] [MOUNTINGS] [EFFECTS] [RATE_HZ]    (lists with commas)
+//!     [SEEDS] [DIRECTIONS] [EFFECTS] [RATE_HZ]    (lists with commas)
 //! ```
 //!
 //! Two cameras drive one and a half loops around a block. The overlap of two images is the smaller
@@ -25,7 +25,7 @@ use tiepoint_sfm::matching::{
     self, Prepared, RetrievalIndex, Vocabulary, VocabularyOptions, match_prepared,
 };
 use tiepoint_synth::image::DynamicImage;
-use tiepoint_synth::{Drive, DriveOptions, Exposure, Motion, Mount, Mounting, RouteKind};
+use tiepoint_synth::{Drive, DriveOptions, Exposure, Motion, Mount, RouteKind, ViewDirection};
 
 /// Minimum overlap of a true loop pair.
 const MIN_OVERLAP: f64 = 0.3;
@@ -65,13 +65,13 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let argument =
         |at: usize, default: &str| arguments.get(at).map_or(default.to_owned(), String::clone);
     for seed in argument(0, "1").split(',') {
-        for mounting in argument(1, "front").split(',') {
-            println!("seed {seed}, {mounting}:");
+        for direction in argument(1, "front").split(',') {
+            println!("seed {seed}, {direction}:");
             measure(&Drive::new(&DriveOptions {
                 seed: seed.parse()?,
                 route: RouteKind::Loop,
                 length_m: LENGTH_M,
-                mounts: Mount::stereo(mounting.parse::<Mounting>()?, 0.5).to_vec(),
+                mounts: Mount::stereo(direction.parse::<ViewDirection>()?, 0.5).to_vec(),
                 motion: Motion { overlap_m: 0.5 * LENGTH_M, ..Motion::default() },
                 effects: argument(2, "all").parse()?,
                 rate_hz: argument(3, "5").parse()?,

@@ -16,7 +16,7 @@ use tiepoint_io::features::{Descriptor, Features};
 use tiepoint_sfm::geometry::{Rng, nalgebra::Vector2};
 use tiepoint_sfm::matching::{Options, Prepared, match_prepared, nearest, select};
 use tiepoint_sfm::scene::{ImageId, Keypoint, Match};
-use tiepoint_sfm::{VerifyOptions, View, verify_pair};
+use tiepoint_sfm::{ImageObservations, VerifyOptions, verify_pair};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
@@ -38,8 +38,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let (in_full, expected) = timed(|| select(&nearest(&a, &b), &options));
         let list: Vec<Match> = found.iter().map(|m| Match { a: m.a, b: m.b }).collect();
         let camera = |image: ImageId| &cameras[images[image.index()].camera.index()];
-        let view_a = View { keypoints: &keypoints_a, camera: camera(pair.a) };
-        let view_b = View { keypoints: &keypoints_b, camera: camera(pair.b) };
+        let view_a = ImageObservations { keypoints: &keypoints_a, camera: camera(pair.a) };
+        let view_b = ImageObservations { keypoints: &keypoints_b, camera: camera(pair.b) };
         let seed = Rng::stream(0, &[u64::from(pair.a.0), u64::from(pair.b.0)]).next_u64();
         let (verifying, two_view) =
             timed(|| verify_pair(view_a, view_b, &list, &VerifyOptions::default(), seed));

@@ -7,7 +7,9 @@ use serde::Serialize;
 use tiepoint_io::bal::{Bal, BalCamera, BalObservation};
 use tiepoint_io::colmap::{self, Format};
 use tiepoint_sfm::ba::factors::Reprojection;
-use tiepoint_sfm::ba::{IterationRecord, Key, Order, Problem, Solver, Summary, Termination};
+use tiepoint_sfm::ba::{
+    EliminationOrder, IterationRecord, Key, Problem, Solver, Summary, Termination,
+};
 use tiepoint_sfm::geometry::cameras::Radial;
 use tiepoint_sfm::geometry::nalgebra::{Quaternion, SVector, UnitQuaternion, Vector2, Vector3};
 use tiepoint_sfm::geometry::{Loss, Rigid3, so3};
@@ -84,7 +86,7 @@ fn adjust_colmap(
     let mut model = colmap::read_model(path)?;
     let defaults = AdjustOptions::default();
     let location = ModelLocation::of(path);
-    location.add_camera_facts(&mut model);
+    location.add_calibration_facts(&mut model);
     let are_known = fix_intrinsics || location.has_known_intrinsics();
     let refine = if are_known { RefineIntrinsics::NONE } else { defaults.refine };
     let options = AdjustOptions { refine, max_iterations: MAX_ITERATIONS, ..defaults };
@@ -117,7 +119,7 @@ fn adjust_bal(
     let mut cameras: Vec<(Key<SVector<f64, 5>>, Key<Rigid3>)> =
         Vec::with_capacity(bal.cameras.len());
     for (index, camera) in bal.cameras.iter().enumerate() {
-        let order = Order::At(index as u32);
+        let order = EliminationOrder::At(index as u32);
         let params = SVector::<f64, 5>::new(camera.focal_px, 0.0, 0.0, camera.k1, camera.k2);
         let rotation = half_turn * so3::exp(&camera.axis_angle_rad);
         let params = problem.add_parameter(params, order);

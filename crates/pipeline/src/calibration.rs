@@ -8,7 +8,7 @@ use tiepoint_io::calibration::{self, CameraCalibration};
 use tiepoint_io::{Exif, ImageFolder, ImageInfo};
 use tiepoint_sfm::scene::Camera;
 
-use crate::fingerprint::of_text;
+use crate::fingerprint::hash_file;
 use crate::known_intrinsics::{assumed_size, camera_of};
 use crate::{Error, Size};
 
@@ -82,7 +82,7 @@ impl CalibrationSource {
     /// The source with the fingerprint of the file in place of its path.
     pub(crate) fn fingerprint(&self) -> Result<String, Error> {
         let (pattern, camera) = (self.pattern.as_deref(), self.camera.as_deref());
-        let hash = of_text(&self.path)?;
+        let hash = hash_file(&self.path)?;
         let size = self.size.map_or_else(String::new, |[w, h]| format!("@{w}x{h}"));
         Ok(format!("{}={hash}#{}{size}", pattern.unwrap_or(""), camera.unwrap_or("")))
     }
@@ -123,25 +123,25 @@ pub(crate) struct Calibrations {
     /// Calibrated cameras, with the source of each.
     cameras: Vec<(usize, CameraCalibration)>,
     sources: Vec<CalibrationSource>,
-    /// Of each image of the folder: an index into `cameras`.
+    /// For each image of the folder, an index into `cameras`.
     of_image: Vec<Option<usize>>,
 }
 
 impl Calibrations {
-    /// Reads the sources. Where several are of one photo, the first counts.
+    /// Reads the sources. If several calibrate one photo, the first one counts.
     ///
     /// # Errors
     ///
     /// A file cannot be read or is damaged; it has no camera of the given name, or several and none
     /// is given; a pattern matches no photo; without a pattern, the cameras of the file are not
-    /// those of the folders; a source is of no photo that an earlier one is not of.
+    /// those of the folders; earlier sources calibrate all photos of a source.
     pub(crate) fn read(sources: &[CalibrationSource], photos: &ImageFolder) -> Result<Self, Error> {
         let mut this = Self {
             cameras: Vec::new(),
             sources: sources.to_vec(),
             of_image: vec![None; photos.images().len()],
         };
-        // Of each source: the folders that none of its cameras is of.
+        // For each source, the folders without a camera in it.
         let mut left_out: Vec<BTreeSet<usize>> = Vec::new();
         for (index, source) in sources.iter().enumerate() {
             let found = source.read()?;
@@ -161,7 +161,7 @@ impl Calibrations {
                             stands before it: give the photos of each, as PATTERN=FILE";
                 return Err(source.error(what.to_owned()));
             }
-            // Another source may be of the folders that this one leaves out.
+            // Folders without a camera in this source may be calibrated by another source.
             let is_uncalibrated = |folder: &&usize| {
                 let mut images = photos.images().iter().zip(&this.of_image);
                 images.any(|(image, own)| image.camera.index() == **folder && own.is_none())

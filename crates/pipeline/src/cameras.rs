@@ -7,7 +7,7 @@ use tiepoint_sfm::geometry::{CameraModelKind, Intrinsics};
 use tiepoint_sfm::scene::{Camera, CameraId};
 
 use crate::calibration::Calibrations;
-use crate::camera_facts::CameraFacts;
+use crate::calibration_facts::CalibrationFacts;
 use crate::known_intrinsics::{assumed_size, camera_of};
 use crate::photos::{Photo, Photos};
 use crate::{CameraGrouping, Error, Size};
@@ -86,8 +86,8 @@ impl Calibration {
 pub(crate) struct FoundCameras {
     /// Initial intrinsics.
     pub(crate) cameras: Vec<Camera>,
-    /// What else is known of them.
-    pub(crate) facts: CameraFacts,
+    /// Which of them are calibrated, and which share a lens.
+    pub(crate) facts: CalibrationFacts,
 }
 
 impl FoundCameras {
@@ -116,7 +116,7 @@ impl FoundCameras {
             *most = (*most).max(sides(&photo.info));
         }
         let mut cameras = Vec::new();
-        let mut facts = CameraFacts::default();
+        let mut facts = CalibrationFacts::default();
         // The first photo of each calibration.
         let mut calibrated: BTreeMap<usize, &Photo> = BTreeMap::new();
         for photo in &firsts {
@@ -136,15 +136,15 @@ impl FoundCameras {
         if grouping == CameraGrouping::Auto {
             let uncalibrated: Vec<&Photo> =
                 firsts.into_iter().filter(|photo| photo.calibration.is_none()).collect();
-            facts.turned = turned(&uncalibrated, &cameras);
+            facts.portrait_landscape_pairs = portrait_landscape_pairs(&uncalibrated, &cameras);
         }
         Ok(Self { cameras, facts })
     }
 }
 
-/// Pairs of cameras of one lens whose images are turned against each other. `firsts`: the first
-/// photo of each camera.
-fn turned(firsts: &[&Photo], cameras: &[Camera]) -> Vec<[CameraId; 2]> {
+/// Pairs of cameras of one lens whose images have portrait and landscape format. `firsts`: the
+/// first photo of each camera.
+fn portrait_landscape_pairs(firsts: &[&Photo], cameras: &[Camera]) -> Vec<[CameraId; 2]> {
     let mut lenses: BTreeMap<(usize, (u32, u32)), Vec<&Photo>> = BTreeMap::new();
     for photo in firsts {
         lenses.entry((photo.lens, sides(&photo.info))).or_default().push(photo);
@@ -180,7 +180,8 @@ fn sides(info: &ImageInfo) -> (u32, u32) {
     (info.width.max(info.height), info.width.min(info.height))
 }
 
-/// Checks that the photos have one size, as the intrinsics of all cameras say nothing of theirs.
+/// Checks that the photos have one size: `--intrinsics` holds for all cameras and has no image size
+/// of its own.
 fn require_one_size(
     photos: &Photos,
     firsts: &[&Photo],
@@ -286,7 +287,10 @@ mod tests {
             };
             let cameras: Vec<Camera> = photos.iter().map(camera).collect();
             let firsts: Vec<&Photo> = photos.iter().collect();
-            turned(&firsts, &cameras).into_iter().map(|pair| pair.map(|id| id.0)).collect()
+            portrait_landscape_pairs(&firsts, &cameras)
+                .into_iter()
+                .map(|pair| pair.map(|id| id.0))
+                .collect()
         };
         let one = CameraModelKind::SimpleRadial;
         assert_eq!(pairs(one, &[1, 6]), [[0, 1]]);

@@ -12,7 +12,7 @@ use std::time::Instant;
 
 use tiepoint_dense::fusion::{FusionImage, FusionOptions, fuse};
 use tiepoint_dense::stereo::{
-    DepthMap, FineEstimate, FineSource, InverseDepthRange, PlaneMap, View, estimate_coarse,
+    DepthMap, FineEstimate, FineSource, InverseDepthRange, PlaneMap, StereoImage, estimate_coarse,
     estimate_fine, normals_of,
 };
 use tiepoint_dense::undistort::{UndistortOptions, Undistortion, undistort_model};
@@ -61,7 +61,7 @@ pub fn dense(
     if let Some(masks) = &masks {
         input = format!("{input} masked by {}", masks.fingerprint);
     }
-    let recipe = Recipe::new(input, option_keys::of_dense(options));
+    let recipe = Recipe::new(input, option_keys::dense_options(options));
     let progress = workspace.begin(STAGE, &recipe, redo)?;
     if progress == Progress::Kept {
         return emit(watch, &Event::StageKept { stage: STAGE });
@@ -86,7 +86,8 @@ pub fn dense(
     if progress == Progress::Begin {
         remove_old_results(workspace, &undistorted)?;
     } else {
-        // The record of a complete stage whose files are gone says so until here.
+        // The record may still say that the stage is complete, although files of it were deleted.
+        // From here on it says incomplete.
         workspace.note(|_| {})?;
     }
     let mut run = Run::new(workspace, undistorted, problems, options, masks);
@@ -208,7 +209,7 @@ impl<'a> Run<'a> {
 
     /// Whether a file has still to be made.
     fn is_missing(&self, name: &str) -> Result<bool, Error> {
-        self.workspace.folder.is_as_left(name).map(|is_there| !is_there)
+        self.workspace.folder.is_unmodified(name).map(|is_there| !is_there)
     }
 
     fn is_undistorted(&self, index: usize) -> Result<bool, Error> {
@@ -218,11 +219,11 @@ impl<'a> Run<'a> {
         Ok(!has_lost_mask && !self.is_missing(&image)?)
     }
 
-    /// Whether the files of the last step of an image are there.
+    /// Whether the depth map of an image exists, with its normal map and PNG if they are asked for.
     fn has_depths(&self, index: usize) -> Result<bool, Error> {
         let name = self.name(index);
-        let normals = self.options.has_normal_maps.then(|| normal_file(name));
-        let png = self.options.has_depth_pngs.then(|| depth_png_file(name));
+        let normals = self.options.write_normal_maps.then(|| normal_file(name));
+        let png = self.options.write_depth_pngs.then(|| depth_png_file(name));
         for file in [Some(depth_map_path(name)), normals, png].into_iter().flatten() {
             if self.is_missing(&file)? {
                 return Ok(false);
@@ -231,8 +232,8 @@ impl<'a> Run<'a> {
         Ok(true)
     }
 
-    /// Number of steps that an earlier run completed, and whether all depth maps are there. Then
-    /// planes, which are temporary, count as done.
+    /// Number of steps that an earlier run completed, and whether all depth maps exist. The files
+    /// of planes are deleted when all depth maps exist; their steps then count as completed.
     fn count_done(&self) -> Result<(usize, bool), Error> {
         let (mut images, mut planes, mut depths) = (0, 0, 0);
         for index in 0..self.problems.len() {
@@ -266,7 +267,7 @@ impl<'a> Run<'a> {
         folder.stage_bytes(STEREO_LIST, stereo.as_bytes())?;
         folder.stage_bytes(FUSION_LIST, fusion.as_bytes())?;
         names.extend([STEREO_LIST, FUSION_LIST].map(str::to_owned));
-        if self.options.has_depth_pngs {
+        if self.options.write_depth_pngs {
             folder.stage_bytes(DEPTH_SCALE, self.depth_scale.json().as_bytes())?;
             names.push(DEPTH_SCALE.to_owned());
         }
@@ -314,7 +315,7 @@ impl<'a> Run<'a> {
 
     /// An undistorted image. It is read from its file also in the run that wrote it, so that an
     /// interrupted run gives the same results.
-    fn view(&self, index: usize) -> Result<View, Error> {
+    fn view(&self, index: usize) -> Result<StereoImage, Error> {
         let camera = self.camera(index)?;
         let path = self.path(&image_file(self.name(index)));
         let Luma { width, height, data } = Luma::read(&path)?;
@@ -324,7 +325,7 @@ impl<'a> Run<'a> {
             let cause = tiepoint_dense::Error::Size { width, height, found: grey.pixels.len() };
             return Err(Error::Dense { path, cause });
         }
-        Ok(View { camera, grey })
+        Ok(StereoImage { camera, grey })
     }
 
     fn sources(&self, index: usize) -> Vec<usize> {
@@ -333,12 +334,12 @@ impl<'a> Run<'a> {
 
     fn estimate_planes(&mut self, index: usize) -> Result<(), Error> {
         let reference = self.view(index)?;
-        let sources: Vec<View> = self
+        let sources: Vec<StereoImage> = self
             .sources(index)
             .into_iter()
             .map(|source| self.view(source))
             .collect::<Result<_, _>>()?;
-        let sources: Vec<&View> = sources.iter().collect();
+        let sources: Vec<&StereoImage> = sources.iter().collect();
         let seeds = &self.problems[index].seeds;
         let map = estimate_coarse(&reference, &sources, seeds, index as u64);
         // An image without a source has no planes.
@@ -393,7 +394,7 @@ impl<'a> Run<'a> {
         let mut depths = estimate.map_or_else(none, |FineEstimate { depths, .. }| depths);
         self.apply_mask(index, &mut depths)?;
         let mut names = vec![depth_map_path(self.name(index))];
-        if self.options.has_normal_maps {
+        if self.options.write_normal_maps {
             let normals = normals_of(&depths, &reference.camera);
             let channel = |channel: usize| normals.iter().map(move |normal| normal[channel]);
             let values = (0..3).flat_map(channel).collect();
@@ -402,7 +403,7 @@ impl<'a> Run<'a> {
             file.write(&self.workspace.folder.stage(&name)?)?;
             names.insert(0, name);
         }
-        if self.options.has_depth_pngs {
+        if self.options.write_depth_pngs {
             let name = depth_png_file(self.name(index));
             let target = self.workspace.folder.stage(&name)?;
             self.depth_scale.write(&target, width as u32, height as u32, &depths.depths)?;

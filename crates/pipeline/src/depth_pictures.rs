@@ -1,4 +1,4 @@
-//! What `report.html` shows of the dense stage: the cloud, and small pictures of depth maps.
+//! The dense stage in `report.html`: the cloud, and small pictures of depth maps.
 
 use std::path::Path;
 

@@ -189,7 +189,7 @@ pub enum Error {
     /// The model has no `rig.json`: mapping estimated no rig extrinsics.
     #[error(
         "{path} does not exist, because this model was mapped without rig extrinsics: map with \
-        --rig soft, hard or auto"
+        --rig soft, rigid or auto"
     )]
     NoRig {
         /// The file.

@@ -24,7 +24,7 @@ pub enum Event<'a> {
         stage: Stage,
     },
     /// The soundtracks of two recordings gave the offset of their starts.
-    SoundHeard {
+    AudioOffset {
         /// The first recording.
         reference: &'a str,
         /// The other recording.
@@ -38,7 +38,7 @@ pub enum Event<'a> {
         recording: &'a str,
     },
     /// A frame of a video was selected and written into the workspace.
-    FrameKept {
+    FrameSelected {
         /// Name of the image.
         image: &'a str,
         /// Number of frames of this recording that were read so far.
@@ -98,7 +98,7 @@ pub enum Event<'a> {
         inliers: usize,
     },
     /// A model was initialised from two images.
-    ModelBegan {
+    ModelInitialised {
         /// The first image.
         image1: &'a str,
         /// The second image.
@@ -174,7 +174,7 @@ pub enum Event<'a> {
         image: &'a str,
     },
     /// The points stay grey, because the photos cannot be read any more.
-    PointsGrey {
+    ColorsMissing {
         /// The reason, as a sentence.
         why: &'a str,
     },

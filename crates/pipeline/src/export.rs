@@ -106,7 +106,7 @@ pub struct Exported {
     pub rigid: Option<RigidReport>,
 }
 
-/// What an export reads.
+/// Input of an export.
 #[derive(Clone, Copy, Debug)]
 pub struct ExportSource<'a> {
     /// A folder with a COLMAP model, or a workspace.

@@ -15,7 +15,7 @@ use tiepoint_sfm::scene::{Camera, CameraId, Image, ImageId};
 use crate::calibration::{CalibrationSource, Calibrations};
 use crate::cameras::{Calibration, FoundCameras, firsts};
 use crate::extractors::{Extractors, memory_of};
-use crate::fingerprint::of_text;
+use crate::fingerprint::hash_file;
 use crate::memory::budget_bytes;
 use crate::ordered::for_each_within_budget;
 use crate::photos::Photo;
@@ -66,11 +66,11 @@ impl FeatureOptions {
             self;
         let files = calibration_files.iter().map(CalibrationSource::fingerprint);
         let files: Vec<String> = files.collect::<Result<_, _>>()?;
-        let timestamps = timestamps.as_deref().map(of_text).transpose()?;
-        let mut texts = option_keys::of_features(calibration, detector, timestamps);
-        texts.push(option_keys::of_pixel_limit(*max_pixels));
-        texts.push(option_keys::of_cameras(*cameras));
-        texts.push(option_keys::of_calibration_files(&files));
+        let timestamps = timestamps.as_deref().map(hash_file).transpose()?;
+        let mut texts = option_keys::feature_options(calibration, detector, timestamps);
+        texts.push(option_keys::pixel_limit_option(*max_pixels));
+        texts.push(option_keys::cameras_option(*cameras));
+        texts.push(option_keys::calibration_files_option(&files));
         texts.extend(found.facts.texts());
         Ok(Recipe::new(photos.fingerprint()?, texts))
     }
@@ -121,7 +121,7 @@ pub fn extract_features(
     workspace.folder.refuse_unless_same(TIMESTAMPS)?;
     let mut database = open(workspace, photos, &usable, &cameras, progress, redo)?;
     workspace.publish(vec![TIMESTAMPS.to_owned()], &[], |_| {})?;
-    if !workspace.folder.is_as_left(TIMESTAMPS)? {
+    if !workspace.folder.is_unmodified(TIMESTAMPS)? {
         // A foreign file with the same content: it becomes ours.
         workspace.folder.claim(&[TIMESTAMPS.to_owned()])?;
     }

@@ -21,7 +21,7 @@ const END: u64 = 64 << 10;
 pub(crate) fn fingerprint(folder: &ImageFolder) -> Result<String, Error> {
     let hashes: Vec<[u8; 32]> = (0..folder.images().len())
         .into_par_iter()
-        .map(|index| of_file(folder.path(index)).unwrap_or_default())
+        .map(|index| hash_ends(folder.path(index)).unwrap_or_default())
         .collect();
     let mut all = blake3::Hasher::new();
     for (image, hash) in folder.images().iter().zip(hashes) {
@@ -34,11 +34,11 @@ pub(crate) fn fingerprint(folder: &ImageFolder) -> Result<String, Error> {
 
 /// Fingerprint of one image file.
 pub(crate) fn of_photo(path: &Path) -> io::Result<String> {
-    Ok(blake3::Hash::from_bytes(of_file(path)?).to_hex().to_string())
+    Ok(blake3::Hash::from_bytes(hash_ends(path)?).to_hex().to_string())
 }
 
 /// Fingerprint of a small file, of its whole content.
-pub(crate) fn of_text(path: &Path) -> Result<String, Error> {
+pub(crate) fn hash_file(path: &Path) -> Result<String, Error> {
     require_regular_file(path)?;
     let bytes =
         std::fs::read(path).map_err(|cause| Error::Unreadable { path: path.to_owned(), cause })?;
@@ -46,29 +46,29 @@ pub(crate) fn of_text(path: &Path) -> Result<String, Error> {
 }
 
 /// Fingerprint of a list of files, without their names.
-pub(crate) fn of_files(paths: &[PathBuf]) -> Result<String, Error> {
+pub(crate) fn hash_file_ends(paths: &[PathBuf]) -> Result<String, Error> {
     let mut all = blake3::Hasher::new();
     for path in paths {
         require_regular_file(path)?;
         all.update(
-            &of_file(path).map_err(|cause| Error::Unreadable { path: path.clone(), cause })?,
+            &hash_ends(path).map_err(|cause| Error::Unreadable { path: path.clone(), cause })?,
         );
     }
     Ok(all.finalize().to_hex().to_string())
 }
 
 /// Fingerprint of a list of files, of their whole contents, without their names.
-pub(crate) fn of_contents(paths: &[PathBuf]) -> Result<String, Error> {
+pub(crate) fn hash_files(paths: &[PathBuf]) -> Result<String, Error> {
     let mut all = blake3::Hasher::new();
     for path in paths {
         require_regular_file(path)?;
-        let hash = contents_of(path);
+        let hash = hash_contents(path);
         all.update(&hash.map_err(|cause| Error::Unreadable { path: path.clone(), cause })?);
     }
     Ok(all.finalize().to_hex().to_string())
 }
 
-fn contents_of(path: &Path) -> io::Result<[u8; 32]> {
+fn hash_contents(path: &Path) -> io::Result<[u8; 32]> {
     let mut file = File::open(path)?;
     let mut hash = blake3::Hasher::new();
     let mut buffer = vec![0; END as usize];
@@ -80,7 +80,7 @@ fn contents_of(path: &Path) -> io::Result<[u8; 32]> {
     }
 }
 
-fn of_file(path: &Path) -> io::Result<[u8; 32]> {
+fn hash_ends(path: &Path) -> io::Result<[u8; 32]> {
     let mut file = File::open(path)?;
     let length = file.metadata()?.len();
     let mut ends = Vec::new();
@@ -103,7 +103,7 @@ mod tests {
         let path = dir.path().join("a.jpg");
         let of = |bytes: &[u8]| {
             std::fs::write(&path, bytes).unwrap();
-            of_file(&path).unwrap()
+            hash_ends(&path).unwrap()
         };
         for length in [0, 1, END as usize, END as usize + 1, 3 * END as usize] {
             let bytes = vec![7; length];

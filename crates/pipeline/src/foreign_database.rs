@@ -15,9 +15,9 @@ use tiepoint_sfm::geometry::nalgebra::Matrix3;
 use tiepoint_sfm::scene::{
     Camera, CameraId, Image, ImageId, ImagePair, Match, TwoView, TwoViewKind,
 };
-use tiepoint_sfm::{VerifyOptions, View, verify_pair};
+use tiepoint_sfm::{ImageObservations, VerifyOptions, verify_pair};
 
-use crate::fingerprint::of_contents;
+use crate::fingerprint::hash_files;
 use crate::keypoints::keypoint;
 use crate::ordered::for_each_in_order;
 use crate::records::{Progress, Recipe};
@@ -48,9 +48,9 @@ pub fn import_features(
     let source = Database::open_read_only(file)?;
     let has_pairs = source.has_pairs()?;
     drop(source);
-    let fingerprint = of_contents(&files_of(file))?;
+    let fingerprint = hash_files(&files_of(file))?;
     let recipe =
-        Recipe::new(fingerprint.clone(), option_keys::of_database(&fingerprint, has_pairs));
+        Recipe::new(fingerprint.clone(), option_keys::database_options(&fingerprint, has_pairs));
     let absolute = |path: &PathBuf| {
         path.canonicalize().map_err(|cause| Error::Unreadable { path: path.clone(), cause })
     };
@@ -145,7 +145,7 @@ pub(crate) fn verify_imported_pairs(
 ) -> Result<(), Error> {
     const STAGE: Stage = Stage::Match;
     let input = workspace.fingerprint(Stage::Features)?;
-    let recipe = Recipe::new(input, option_keys::of_imported_pairs(options, seed));
+    let recipe = Recipe::new(input, option_keys::imported_pairs_options(options, seed));
     let progress = workspace.begin(STAGE, &recipe, redo)?;
     if progress == Progress::Kept {
         return emit(watch, &Event::StageKept { stage: STAGE });
@@ -247,7 +247,7 @@ impl Pairs {
         seed: u64,
     ) -> TwoView {
         let image = |id: ImageId| &self.images[id.index()];
-        let view = |id: ImageId| View {
+        let view = |id: ImageId| ImageObservations {
             keypoints: &image(id).keypoints,
             camera: &self.cameras[image(id).camera.index()],
         };
@@ -260,7 +260,8 @@ impl Pairs {
     }
 }
 
-/// A two-view geometry without the values that programs write for want of others.
+/// A two-view geometry without placeholders: programs write identity or zero for a matrix or a pose
+/// that they did not estimate.
 fn without_placeholders(view: &TwoView) -> TwoView {
     let is_real = |matrix: &Matrix3<f64>| *matrix != Matrix3::identity() && matrix.amax() > 0.0;
     let is_still = view.kind == TwoViewKind::Panoramic;

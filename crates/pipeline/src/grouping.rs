@@ -145,12 +145,13 @@ pub(crate) struct CameraNumbers {
     grouping: CameraGrouping,
     focals: FocalClasses,
     lenses: BTreeMap<(DeviceKey, Option<usize>), usize>,
-    /// By what the photos have in common, and their calibration with the EXIF orientation.
+    /// Number of a camera, by what its photos have in common, and by their calibration and EXIF
+    /// orientation.
     cameras: BTreeMap<(CameraKey, Option<(usize, u8)>), usize>,
 }
 
 impl CameraNumbers {
-    /// For these photos, each with the number of its folder.
+    /// `photos`: all photos that will be numbered, each with the number of its folder.
     pub(crate) fn new<'a>(
         grouping: CameraGrouping,
         photos: impl Iterator<Item = (usize, &'a ImageInfo)>,

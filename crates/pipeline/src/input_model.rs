@@ -4,10 +4,10 @@ use std::path::{Path, PathBuf};
 
 use tiepoint_io::colmap::read_model;
 use tiepoint_sfm::scene::Reconstruction;
-use tiepoint_sfm::{self as sfm, MapperOptions, RigTerm, Transferred, transfer_model};
+use tiepoint_sfm::{self as sfm, MapperOptions, RigMode, Transferred, transfer_model};
 
 use crate::export::model_files;
-use crate::fingerprint::of_contents;
+use crate::fingerprint::hash_files;
 use crate::{Error, model_folder, option_keys};
 
 /// A COLMAP model whose images with their poses are the beginning of a map.
@@ -31,7 +31,7 @@ impl InputModel {
         let files: Vec<PathBuf> =
             model_files(&folder).into_iter().filter(|file| file.is_file()).collect();
         Ok(OpenedModel {
-            fingerprint: of_contents(&files)?,
+            fingerprint: hash_files(&files)?,
             fix_existing_frames: self.fix_existing_frames,
             folder,
             files,
@@ -50,7 +50,7 @@ pub(crate) struct OpenedModel {
 impl OpenedModel {
     /// Keys and values for the record.
     pub(crate) fn texts(&self) -> Vec<(&'static str, String)> {
-        option_keys::of_input_model(&self.fingerprint, self.fix_existing_frames)
+        option_keys::input_model_options(&self.fingerprint, self.fix_existing_frames)
     }
 
     /// The files that mapping reads and must not write.
@@ -66,17 +66,17 @@ impl OpenedModel {
     /// An option needs poses or a gauge other than those of the model.
     pub(crate) fn options(&self, mut options: MapperOptions) -> Result<MapperOptions, Error> {
         if self.fix_existing_frames {
-            if options.rig == RigTerm::Auto {
-                options.rig = RigTerm::Off;
+            if options.rig == RigMode::Auto {
+                options.rig = RigMode::Off;
             }
-            if options.rig != RigTerm::Off {
+            if options.rig != RigMode::Off {
                 return Err(Error::MovesPoses { option: "--rig", with: "--fix-existing-frames" });
             }
             if options.readout.is_some() {
                 let option = "--rolling-shutter";
                 return Err(Error::MovesPoses { option, with: "--fix-existing-frames" });
             }
-        } else if options.rig == RigTerm::Paper {
+        } else if options.rig == RigMode::Paper {
             return Err(Error::MovesPoses { option: "--rig paper", with: "--input-model" });
         }
         Ok(options)

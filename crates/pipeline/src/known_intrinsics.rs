@@ -82,9 +82,9 @@ fn offset(intrinsics: &Intrinsics, [width, height]: [u32; 2]) -> f64 {
     off(centre.x, width).max(off(centre.y, height))
 }
 
-/// The image size of intrinsics that do not say it: that of the stored photo or of the upright one,
-/// whose centre is nearer to the principal point. OpenCV reads photos upright, other programs as
-/// they are stored.
+/// The image size of intrinsics that come without one: the size of the photo as stored or as turned
+/// upright by EXIF, whichever has its centre nearer to the principal point. OpenCV calibrates
+/// upright photos, other programs photos as they are stored.
 pub(crate) fn assumed_size(intrinsics: &Intrinsics, info: &ImageInfo) -> [u32; 2] {
     let (stored, upright) = (stored_size(info), [info.width, info.height]);
     if offset(intrinsics, upright) < offset(intrinsics, stored) { upright } else { stored }

@@ -2,7 +2,7 @@
 
 mod adjust;
 mod calibration;
-mod camera_facts;
+mod calibration_facts;
 mod cameras;
 mod cloud;
 pub mod colmap;
@@ -100,7 +100,7 @@ pub use report::{
     SkippedImage, StageReports,
 };
 pub use rig_evaluation::{RigEvaluation, evaluate_rig};
-pub use rig_file::{RigCamera, RigClock, RigFile};
+pub use rig_file::{ConstraintKind, RigCamera, RigClock, RigClockState, RigFile};
 pub use rig_report::{ExtrinsicsReport, PaperReport, RigCameraReport, RigReport, SplitReport};
 pub use rigid::RigidReport;
 pub use rolling_shutter::rolling_shutters;

@@ -17,8 +17,8 @@ use tiepoint_sfm::scene::{
     TwoView,
 };
 use tiepoint_sfm::{
-    FilterOptions, Localization, QueryCamera, RegisterOptions, VerifyOptions, View, localize_image,
-    transfer_model, verify_pair,
+    FilterOptions, ImageObservations, Localization, QueryCamera, RegisterOptions, VerifyOptions,
+    localize_image, transfer_model, verify_pair,
 };
 
 use crate::calibration::{CalibrationSource, Calibrations};
@@ -165,7 +165,7 @@ pub fn localize(
     let photos = ImageFolder::open(inputs, options.masks.as_deref())?;
     let photos = photos.with_max_pixels(options.max_pixels);
     let calibrations = Calibrations::read(&options.calibration_files, &photos)?;
-    let mut map = Map::open(path, options)?;
+    let mut map = ReferenceModel::open(path, options)?;
     let mut inputs = model_files(&map.folder);
     inputs.push(map.database_file.clone());
     inputs.extend((0..photos.images().len()).map(|index| photos.path(index).to_owned()));
@@ -211,7 +211,7 @@ pub fn localize(
 }
 
 /// Checks that the output is not the folder of the model or of its database.
-fn refuse_inside(output: &Path, map: &Map) -> Result<(), Error> {
+fn refuse_inside(output: &Path, map: &ReferenceModel) -> Result<(), Error> {
     let Ok(output) = output.canonicalize() else { return Ok(()) };
     let folders = [Some(map.folder.as_path()), map.database_file.parent()];
     let is_input = |folder: &Path| folder.canonicalize().is_ok_and(|folder| folder == output);
@@ -253,7 +253,7 @@ struct Query {
 }
 
 /// The model with its features.
-struct Map {
+struct ReferenceModel {
     folder: PathBuf,
     database_file: PathBuf,
     database: Database,
@@ -282,7 +282,7 @@ impl ExifKey {
     }
 }
 
-impl Map {
+impl ReferenceModel {
     fn open(path: &Path, options: &LocalizeOptions) -> Result<Self, Error> {
         let folder = model_folder(path)?;
         // The model may be that of `sparse/0` or of another folder with a database.
@@ -423,7 +423,10 @@ impl Map {
                 let other = &loaded[&image];
                 let pair = ImagePair::new(image, query.image)?;
                 let matches = other.matches(&own, &options.descriptors);
-                let view = |keypoints, image| View { keypoints, camera: scene.camera_of(image) };
+                let view = |keypoints, image| ImageObservations {
+                    keypoints,
+                    camera: scene.camera_of(image),
+                };
                 let key = [u64::from(pair.a.0), u64::from(pair.b.0)];
                 let seed = Rng::stream(options.seed, &key).next_u64();
                 let two_view = verify_pair(

@@ -12,10 +12,10 @@ use tiepoint_io::{ImageFolder, ply, timestamps};
 use tiepoint_sfm::scene::{Camera, CameraId, CorrespondenceGraph, Image, ImageId, Reconstruction};
 use tiepoint_sfm::{
     self as sfm, Existing, Failure, MappedModel, MapperOptions, OptionalStage, RefineIntrinsics,
-    RigTerm, VerifyOptions, rig_candidates, rig_pairs,
+    RigMode, VerifyOptions, rig_candidates, rig_pairs,
 };
 
-use crate::camera_facts::CameraFacts;
+use crate::calibration_facts::CalibrationFacts;
 use crate::colors::color_points;
 use crate::database_scene::read_scene;
 use crate::file_names::{SPARSE, is_rig_name, model_path, rig_name};
@@ -77,13 +77,13 @@ pub fn map(
     } else if workspace.records.option(Stage::Features, option_keys::INTRINSICS).is_some() {
         options.refine = RefineIntrinsics::NONE;
     }
-    let mut texts = option_keys::of_mapping(&options, baseline_m);
+    let mut texts = option_keys::mapping_options(&options, baseline_m);
     let has_known = input_model.is_some()
         || rig_calibration.is_some()
-        || [option_keys::INTRINSICS, CameraFacts::CALIBRATED]
+        || [option_keys::INTRINSICS, CalibrationFacts::CALIBRATED]
             .iter()
             .any(|option| workspace.records.option(Stage::Features, option).is_some());
-    texts.push(option_keys::of_known_intrinsics(refine.is_some() && has_known));
+    texts.push(option_keys::known_intrinsics_option(refine.is_some() && has_known));
     if let Some(model) = &input_model {
         if rig_calibration.is_some() {
             let (option, with) = ("--rig-calibration", "--input-model");
@@ -93,8 +93,8 @@ pub fn map(
         options = model.options(options)?;
         workspace.folder.protect(model.files());
     }
-    let hash = rig_calibration.map(fingerprint::of_text).transpose()?;
-    texts.extend(option_keys::of_rig_calibration(hash, refine_extrinsics));
+    let hash = rig_calibration.map(fingerprint::hash_file).transpose()?;
+    texts.extend(option_keys::rig_calibration_options(hash, refine_extrinsics));
     let recipe = Recipe::new(workspace.fingerprint(Stage::Match)?, texts);
     let progress = workspace.begin(STAGE, &recipe, redo)?;
     if progress == Progress::Kept {
@@ -106,7 +106,7 @@ pub fn map(
     workspace.folder.refuse_foreign(replaced.iter().map(String::as_str))?;
     let mut scene = load_scene(workspace)?;
     if let Some(model) = &input_model {
-        take(&mut scene, model, refine.is_some(), watch)?;
+        apply_input_model(&mut scene, model, refine.is_some(), watch)?;
     }
     let graph = load_graph(workspace, &scene)?;
     let known_rigs =
@@ -135,9 +135,9 @@ pub fn map(
         return Err(no_overlap(workspace, required)?);
     }
     match options.rig {
-        RigTerm::Off | RigTerm::Auto => {}
+        RigMode::Off | RigMode::Auto => {}
         _ if known_rigs.is_some() => {}
-        term => require_synchronous_images(workspace, &scene, term)?,
+        mode => require_synchronous_images(workspace, &scene, mode)?,
     }
     if options.readout.is_some() && !is_timed(&scene) {
         return Err(Error::NoTimedSequence { path: workspace.root().to_owned() });
@@ -169,8 +169,8 @@ pub fn map(
             sfm::map_with_rigs(&graph, &scene, rigs, &mut descriptors, &options, &mut notified)?
         }
         (Some(model), _) => {
-            let has_constant_poses = model.fix_existing_frames;
-            let existing = Existing { model: &scene, has_constant_poses };
+            let constant_poses = model.fix_existing_frames;
+            let existing = Existing { model: &scene, constant_poses };
             sfm::extend(&graph, &existing, &mut descriptors, &options, &mut notified)
                 .map_err(|cause| model.error(cause))?
         }
@@ -188,7 +188,7 @@ pub fn map(
             })
     {
         // The photos may have moved; the model is valid without colours.
-        emit(watch, &Event::PointsGrey { why: &error.to_string() })?;
+        emit(watch, &Event::ColorsMissing { why: &error.to_string() })?;
     }
     let scales: Vec<Option<ScaleReport>> = match baseline_m {
         Some(baseline_m) => {
@@ -201,18 +201,18 @@ pub fn map(
     let is_known = known_rigs.is_some();
     let reports = reports.map(|(index, (model, scale))| {
         let has_failed = model.failures.iter().any(|failure| failure.stage == OptionalStage::Rig);
-        let term = if is_known { RigTerm::Off } else { options.rig };
+        let mode = if is_known { RigMode::Off } else { options.rig };
         let metres_per_unit = scale.as_ref().and_then(|scale| scale.factor).unwrap_or(1.0);
         ModelReport {
             scale,
             loop_pairs: model.num_loop_pairs,
             failed: model.failures.iter().map(|failure| describe(failure, is_known)).collect(),
-            rig: RigReport::new(term, is_known && !has_failed, model, metres_per_unit),
+            rig: RigReport::new(mode, is_known && !has_failed, model, metres_per_unit),
             ..ModelReport::new(model_path(index), &model.reconstruction, &model.shutters)
         }
     });
     let reports: Vec<ModelReport> = reports.collect();
-    let may_be_rig = options.rig != RigTerm::Off && !is_known;
+    let may_be_rig = options.rig != RigMode::Off && !is_known;
     let notes: Vec<String> = match models.first() {
         Some(first) if may_be_rig && reports.iter().all(|report| report.rig.is_none()) => {
             why_no_rig(&first.reconstruction).into_iter().collect()
@@ -224,8 +224,8 @@ pub fn map(
     }
     let seconds = start.elapsed().as_secs_f64();
     let removed: Vec<String> = replaced.into_iter().filter(|name| !staged.contains(name)).collect();
-    // Behind all that may fail, and before the stage is complete: a later run repairs what an
-    // interruption leaves.
+    // The rigs are written after every step that may fail, and before the stage is marked as
+    // complete: after an interruption, a later run repeats the stage and writes them again.
     if let Some(first) = models.first()
         && let Err(error) = write_rigs(workspace, &first.reconstruction)
         && !is_imported
@@ -286,15 +286,15 @@ fn image_without_focal(scene: &Reconstruction) -> Option<&Image> {
 
 /// Replaces the scene by one with the poses and points of a model. Known intrinsics must be those
 /// of the model, unless they are refined.
-fn take(
+fn apply_input_model(
     scene: &mut Reconstruction,
     model: &OpenedModel,
-    are_refined: bool,
+    refine_extrinsics: bool,
     watch: Watch,
 ) -> Result<(), Error> {
     let found = model.transfer(scene)?;
     let is_replaced = |(id, image): &(ImageId, &Image)| {
-        !are_refined
+        !refine_extrinsics
             && scene.calibrated.contains(&image.camera)
             && found.existing.contains(id)
             && found.scene.camera_of(*id).intrinsics != scene.camera(image.camera).intrinsics
@@ -322,11 +322,11 @@ pub(crate) fn load_scene(workspace: &Workspace) -> Result<Reconstruction, Error>
     let database = Database::open(&workspace.database())?;
     let mut scene = read_scene(&database)?;
     let value = |key: &str| workspace.records.option(Stage::Features, key);
-    CameraFacts::read(value).add_to(&mut scene);
+    CalibrationFacts::read(value).add_to(&mut scene);
     if value(option_keys::INTRINSICS).is_some() {
         scene.calibrated = scene.cameras().map(|(id, _)| id).collect();
     }
-    let times = workspace.timestamps_as_left()?;
+    let times = workspace.verified_timestamps()?;
     let times = times.map_or(Ok(BTreeMap::new()), |path| timestamps::read(&path))?;
     for id in (0..scene.num_images()).map(ImageId::from_index) {
         let time_s = times.get(&scene.image(id).name).copied();
@@ -354,7 +354,7 @@ fn no_overlap(workspace: &Workspace, required: usize) -> Result<Error, Error> {
     let given = [option_keys::INTRINSICS, option_keys::FOCAL_PRIOR];
     let cameras = if given.iter().any(is_given) { vec![] } else { database.read_cameras()? };
     let value = |key: &str| workspace.records.option(Stage::Features, key);
-    let calibrated = CameraFacts::read(value).calibrated;
+    let calibrated = CalibrationFacts::read(value).calibrated;
     let is_from_exif = |(index, camera): &(usize, &Camera)| {
         camera.has_focal_prior
             && !camera.intrinsics.kind().focal_indices().is_empty()
@@ -373,9 +373,11 @@ pub(crate) fn translate<'a>(
     name: &dyn Fn(ImageId) -> &'a str,
 ) -> Option<Event<'a>> {
     Some(match *event {
-        sfm::Event::Initialised { image1, image2, num_points } => {
-            Event::ModelBegan { image1: name(image1), image2: name(image2), points: num_points }
-        }
+        sfm::Event::Initialised { image1, image2, num_points } => Event::ModelInitialised {
+            image1: name(image1),
+            image2: name(image2),
+            points: num_points,
+        },
         sfm::Event::Registered { image, num_registered, num_points, .. } => {
             Event::ImageRegistered {
                 image: name(image),
@@ -407,9 +409,9 @@ pub(crate) fn translate<'a>(
 fn require_synchronous_images(
     workspace: &Workspace,
     scene: &Reconstruction,
-    term: RigTerm,
+    mode: RigMode,
 ) -> Result<(), Error> {
-    let has_times = term != RigTerm::Paper
+    let has_times = mode != RigMode::Paper
         && rig_candidates(scene).len() > 1
         && scene.images().all(|(_, i)| i.time_s.is_some());
     if has_times || rig_pairs(scene).iter().any(|rig| rig.pairs.len() >= 2) {

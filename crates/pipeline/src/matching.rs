@@ -12,7 +12,7 @@ use tiepoint_io::features::Features;
 use tiepoint_sfm::geometry::Rng;
 use tiepoint_sfm::matching::{self, PairSelection};
 use tiepoint_sfm::scene::{Camera, Image, ImageId, ImagePair, Match, TwoView};
-use tiepoint_sfm::{VerifyOptions, View, verify_pair};
+use tiepoint_sfm::{ImageObservations, VerifyOptions, verify_pair};
 
 use crate::foreign_database::{has_imported_pairs, require_sift, verify_imported_pairs};
 use crate::loaded_features::LoadedFeatures;
@@ -62,7 +62,7 @@ impl MatchOptions {
     /// The recipe of the stage; `input`: fingerprint of the feature stage.
     fn recipe(&self, input: String) -> Recipe {
         let Self { pairs, descriptors, verify, seed } = self;
-        Recipe::new(input, option_keys::of_matching(pairs, descriptors, verify, *seed))
+        Recipe::new(input, option_keys::matching_options(pairs, descriptors, verify, *seed))
     }
 }
 
@@ -119,7 +119,7 @@ pub fn match_images(
     }
     let images = database.read_images()?;
     let MatchOptions { pairs, seed, .. } = *options;
-    let choice = pair_choice::of_images(workspace, &database, &images, pairs, seed)?;
+    let choice = pair_choice::choose_pairs_of_images(workspace, &database, &images, pairs, seed)?;
     let report = match_pairs(&mut database, choice, options, watch)?;
     workspace.complete_matching(database, report, start, watch)
 }
@@ -275,7 +275,7 @@ fn match_pair(
 ) -> (Vec<Match>, TwoView) {
     let (a, b) = (&loaded[&pair.a], &loaded[&pair.b]);
     let matches = a.matches(b, &options.descriptors);
-    let view = |image: ImageId| View {
+    let view = |image: ImageId| ImageObservations {
         keypoints: &loaded[&image].keypoints,
         camera: &cameras[images[image.index()].camera.index()],
     };

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use tiepoint_sfm::scene::Reconstruction;
 
-use crate::camera_facts::CameraFacts;
+use crate::calibration_facts::CalibrationFacts;
 use crate::file_names::{model_path, rig_name};
 use crate::records::Records;
 use crate::workspace::{DATABASE, REPORT, STAGES, TIMESTAMPS, current_records, is_workspace};
@@ -69,11 +69,11 @@ impl ModelLocation {
 
     /// Adds what the workspace knows of its cameras to a model; nothing for a model in no
     /// workspace.
-    pub(crate) fn add_camera_facts(&self, model: &mut Reconstruction) {
+    pub(crate) fn add_calibration_facts(&self, model: &mut Reconstruction) {
         if is_workspace(&self.root)
             && let Ok(records) = current_records(&self.root)
         {
-            CameraFacts::read(|key| records.option(Stage::Features, key)).add_to(model);
+            CalibrationFacts::read(|key| records.option(Stage::Features, key)).add_to(model);
         }
     }
 

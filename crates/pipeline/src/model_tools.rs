@@ -32,7 +32,7 @@ pub struct CameraInfo {
     pub images: usize,
 }
 
-/// What a model consists of. The numbers are those of COLMAP's `model_analyzer`.
+/// Statistics of a model. The numbers are those of COLMAP's `model_analyzer`.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ModelInfo {
     /// The folder of the model.
@@ -83,7 +83,7 @@ impl From<&Sim3> for SimilarityInfo {
     }
 }
 
-/// What a command made of a model.
+/// Result of a command on models.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ModelChange {
     /// The folder of the new model.
@@ -95,15 +95,15 @@ pub struct ModelChange {
     /// The transform that was applied, new_from_old.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub transform: Option<SimilarityInfo>,
-    /// What the transform was estimated from.
+    /// Quality of the alignment, if the transform was estimated.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub alignment: Option<AlignmentInfo>,
-    /// What each further model of a merge added, in the order in which they were merged.
+    /// The further models of a merge, in the order in which they were merged.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub merged: Vec<MergedInfo>,
 }
 
-/// What an alignment was estimated from.
+/// Quality of an alignment.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct AlignmentInfo {
     /// Number of images with a pose in both.
@@ -132,7 +132,7 @@ pub struct MergedInfo {
     pub merged_points: usize,
 }
 
-/// What a model is aligned to.
+/// Target of an alignment.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum AlignTo<'a> {
     /// A model with common images, by the keypoints that observe points in both.

@@ -17,8 +17,8 @@ use tiepoint_sfm::matching::{
     Checks, Method, Options as DescriptorOptions, PairSelection, PreemptiveMatching,
 };
 use tiepoint_sfm::{
-    FilterOptions, MapperOptions, Readout, RefineIntrinsics, RegisterOptions, RigTerm,
-    TrackOptions, VerifyOptions,
+    FilterOptions, MapperOptions, Readout, RefineIntrinsics, RegisterOptions, TrackOptions,
+    VerifyOptions,
 };
 
 use crate::DenseOptions;
@@ -111,7 +111,7 @@ pub(crate) fn shown(key: &str) -> &str {
 type Texts = Vec<(&'static str, String)>;
 
 /// Options of the feature stage. `timestamps`: hash of the file of capture times.
-pub(crate) fn of_features(
+pub(crate) fn feature_options(
     calibration: &Calibration,
     detector: &DetectorOptions,
     timestamps: Option<String>,
@@ -177,32 +177,32 @@ pub(crate) fn of_features(
 }
 
 /// The limit on pixels, an option of the feature stage.
-pub(crate) fn of_pixel_limit(max_pixels: u64) -> (&'static str, String) {
+pub(crate) fn pixel_limit_option(max_pixels: u64) -> (&'static str, String) {
     (MAX_PIXELS_KEY, (max_pixels as f64 / 1e6).to_string())
 }
 
 /// Which photos share a camera, an option of the feature stage.
-pub(crate) fn of_cameras(cameras: CameraGrouping) -> (&'static str, String) {
+pub(crate) fn cameras_option(cameras: CameraGrouping) -> (&'static str, String) {
     (CAMERAS_KEY, cameras.to_string())
 }
 
 /// Files of known calibrations by their fingerprints, an option of the feature stage.
-pub(crate) fn of_calibration_files(files: &[String]) -> (&'static str, String) {
+pub(crate) fn calibration_files_option(files: &[String]) -> (&'static str, String) {
     (CALIBRATION_KEY, or_none((!files.is_empty()).then(|| files.join(" "))))
 }
 
 /// Whether known intrinsics are refined, an option of the map stage.
-pub(crate) fn of_known_intrinsics(refine: bool) -> (&'static str, String) {
+pub(crate) fn known_intrinsics_option(refine: bool) -> (&'static str, String) {
     (REFINE_KNOWN_KEY, refine.to_string())
 }
 
 /// Known rigs by the hash of their file, and whether they are refined: options of the map stage.
-pub(crate) fn of_rig_calibration(hash: Option<String>, is_refined: bool) -> Texts {
+pub(crate) fn rig_calibration_options(hash: Option<String>, is_refined: bool) -> Texts {
     vec![(RIG_CALIBRATION_KEY, or_none(hash)), (REFINE_EXTRINSICS_KEY, is_refined.to_string())]
 }
 
 /// Options of the match stage.
-pub(crate) fn of_matching(
+pub(crate) fn matching_options(
     pairs: &PairSelection,
     descriptors: &DescriptorOptions,
     verify: &VerifyOptions,
@@ -211,8 +211,8 @@ pub(crate) fn of_matching(
     let DescriptorOptions { max_ratio, max_angle_rad, mutual, method, preempt } = descriptors;
     let method = match method {
         Method::BruteForce => "brute_force".to_owned(),
-        Method::Forest(checks) => format!("forest:{}", of_checks(checks)),
-        Method::Cheapest(checks) => format!("cheapest:{}", of_checks(checks)),
+        Method::Forest(checks) => format!("forest:{}", checks_text(checks)),
+        Method::Cheapest(checks) => format!("cheapest:{}", checks_text(checks)),
     };
     let mut texts = vec![
         // In the format of the command line.
@@ -223,7 +223,7 @@ pub(crate) fn of_matching(
         ("match.descriptors.mutual", mutual.to_string()),
         ("match.descriptors.method", method),
     ];
-    texts.extend(of_verification(verify));
+    texts.extend(verification_options(verify));
     texts.push(match preempt {
         None => ("match.descriptors.preempt", NONE.to_owned()),
         Some(PreemptiveMatching { min_matches }) => {
@@ -234,7 +234,7 @@ pub(crate) fn of_matching(
 }
 
 /// Options of the map stage.
-pub(crate) fn of_mapping(mapper: &MapperOptions, baseline_m: Option<f64>) -> Texts {
+pub(crate) fn mapping_options(mapper: &MapperOptions, baseline_m: Option<f64>) -> Texts {
     let MapperOptions {
         refine: RefineIntrinsics { focal, aspect, principal_point, distortion, prism },
         tracks:
@@ -256,20 +256,13 @@ pub(crate) fn of_mapping(mapper: &MapperOptions, baseline_m: Option<f64>) -> Tex
         readout,
         seed,
     } = mapper;
-    let rig = match rig {
-        RigTerm::Off => "off",
-        RigTerm::Paper => "paper",
-        RigTerm::Soft => "soft",
-        RigTerm::Hard => "hard",
-        RigTerm::Auto => "auto",
-    };
     let readout = readout.map(|readout| match readout {
         Readout::Known(time_s) => format!("{time_s}s"),
         Readout::Estimated => "estimate".to_owned(),
     });
     vec![
         ("mapper.baseline", or_none(baseline_m.map(|baseline_m| format!("{baseline_m}m")))),
-        ("mapper.rig", rig.to_owned()),
+        ("mapper.rig", rig.name().to_owned()),
         ("mapper.readout", or_none(readout)),
         ("mapper.seed", seed.to_string()),
         ("mapper.refine.focal", focal.to_string()),
@@ -286,41 +279,41 @@ pub(crate) fn of_mapping(mapper: &MapperOptions, baseline_m: Option<f64>) -> Tex
         ("mapper.filter.min_angle_rad", filter_angle_rad.to_string()),
         ("mapper.register.max_error_px", max_error_px.to_string()),
         ("mapper.register.min_num_inliers", min_num_inliers.to_string()),
-        ("mapper.register.min_inlier_share", min_inlier_ratio.to_string()),
+        ("mapper.register.min_inlier_ratio", min_inlier_ratio.to_string()),
         ("mapper.min_initial_inliers", min_initial_inliers.to_string()),
         ("mapper.min_model_size", min_model_size.to_string()),
-        ("mapper.loss", of_loss(loss)),
+        ("mapper.loss", loss_text(loss)),
         ("mapper.local_images", local_images.to_string()),
         ("mapper.global_growth", global_growth.to_string()),
     ]
 }
 
 /// The feature stage with the features of another program. `hash`: of its database.
-pub(crate) fn of_database(hash: &str, has_pairs: bool) -> Texts {
+pub(crate) fn database_options(hash: &str, has_pairs: bool) -> Texts {
     vec![(DATABASE, hash.to_owned()), (FOUND_PAIRS, or_none(has_pairs.then_some(true)))]
 }
 
 /// Options of the match stage with the pairs of another program.
-pub(crate) fn of_imported_pairs(verify: &VerifyOptions, seed: u64) -> Texts {
+pub(crate) fn imported_pairs_options(verify: &VerifyOptions, seed: u64) -> Texts {
     let mut texts = vec![(PAIRS, PAIRS_OF_DATABASE.to_owned()), ("match.seed", seed.to_string())];
-    texts.extend(of_verification(verify));
+    texts.extend(verification_options(verify));
     texts
 }
 
 /// Options of geometric verification.
-fn of_verification(verify: &VerifyOptions) -> Texts {
-    let VerifyOptions { max_error_px, min_num_inliers, min_essential_share, max_homography_share } =
+fn verification_options(verify: &VerifyOptions) -> Texts {
+    let VerifyOptions { max_error_px, min_num_inliers, min_e_f_inlier_ratio, max_h_inlier_ratio } =
         verify;
     vec![
         ("match.verify.max_error_px", max_error_px.to_string()),
         ("match.verify.min_num_inliers", min_num_inliers.to_string()),
-        ("match.verify.min_essential_share", min_essential_share.to_string()),
-        ("match.verify.max_homography_share", max_homography_share.to_string()),
+        ("match.verify.min_e_f_inlier_ratio", min_e_f_inlier_ratio.to_string()),
+        ("match.verify.max_h_inlier_ratio", max_h_inlier_ratio.to_string()),
     ]
 }
 
 /// The model that mapping goes on from; `hash`: of its files.
-pub(crate) fn of_input_model(hash: &str, fix_existing_frames: bool) -> Texts {
+pub(crate) fn input_model_options(hash: &str, fix_existing_frames: bool) -> Texts {
     vec![
         ("mapper.input_model", hash.to_owned()),
         ("mapper.fix_existing_frames", fix_existing_frames.to_string()),
@@ -328,15 +321,15 @@ pub(crate) fn of_input_model(hash: &str, fix_existing_frames: bool) -> Texts {
 }
 
 /// Options of the dense stage.
-pub(crate) fn of_dense(options: &DenseOptions) -> Texts {
+pub(crate) fn dense_options(options: &DenseOptions) -> Texts {
     // The input covers the content of the masks.
-    let DenseOptions { max_image_size, sources, masks: _, has_normal_maps, has_depth_pngs } =
+    let DenseOptions { max_image_size, sources, masks: _, write_normal_maps, write_depth_pngs } =
         options;
     vec![
         ("dense.max_image_size", or_none(*max_image_size)),
         ("dense.sources", sources.to_string()),
-        ("dense.normal_maps", has_normal_maps.to_string()),
-        ("dense.depth_pngs", has_depth_pngs.to_string()),
+        ("dense.normal_maps", write_normal_maps.to_string()),
+        ("dense.depth_pngs", write_depth_pngs.to_string()),
     ]
 }
 
@@ -344,14 +337,14 @@ fn or_none(value: Option<impl ToString>) -> String {
     value.map_or_else(|| NONE.to_owned(), |value| value.to_string())
 }
 
-fn of_checks(checks: &Checks) -> String {
+fn checks_text(checks: &Checks) -> String {
     match checks {
         Checks::Total(checks) => format!("total:{checks}"),
         Checks::PerTree(checks) => format!("per_tree:{checks}"),
     }
 }
 
-fn of_loss(loss: &Loss) -> String {
+fn loss_text(loss: &Loss) -> String {
     match loss {
         Loss::Trivial => "trivial".to_owned(),
         Loss::Huber(scale) => format!("huber:{scale}"),
@@ -366,8 +359,8 @@ fn of_loss(loss: &Loss) -> String {
 #[cfg(test)]
 mod tests {
     use tiepoint_io::DEFAULT_MAX_PIXELS;
+    use tiepoint_sfm::RigMode;
     use tiepoint_sfm::geometry::CameraModelKind;
-    use tiepoint_sfm::matching::Ends;
 
     use super::*;
 
@@ -378,7 +371,8 @@ mod tests {
     /// Existing workspaces have these texts. Changing a line invalidates all of them.
     #[test]
     fn keys_and_default_values_are_fixed() {
-        let found = lines(of_features(&Calibration::default(), &DetectorOptions::default(), None));
+        let found =
+            lines(feature_options(&Calibration::default(), &DetectorOptions::default(), None));
         let expected = [
             "features.camera_model = SIMPLE_RADIAL",
             "features.focal_prior = none",
@@ -407,12 +401,12 @@ mod tests {
             "match.descriptors.method = brute_force",
             "match.verify.max_error_px = 4",
             "match.verify.min_num_inliers = 15",
-            "match.verify.min_essential_share = 0.95",
-            "match.verify.max_homography_share = 0.8",
+            "match.verify.min_e_f_inlier_ratio = 0.95",
+            "match.verify.max_h_inlier_ratio = 0.8",
             "match.descriptors.preempt = none",
         ];
         assert_eq!(
-            lines(of_matching(&PairSelection::Exhaustive, &descriptors, &verify, 0)),
+            lines(matching_options(&PairSelection::Exhaustive, &descriptors, &verify, 0)),
             expected
         );
         let expected = [
@@ -434,21 +428,21 @@ mod tests {
             "mapper.filter.min_angle_rad = 0.026179938779914945",
             "mapper.register.max_error_px = 12",
             "mapper.register.min_num_inliers = 30",
-            "mapper.register.min_inlier_share = 0.25",
+            "mapper.register.min_inlier_ratio = 0.25",
             "mapper.min_initial_inliers = 30",
             "mapper.min_model_size = 3",
             "mapper.loss = soft_l1:4",
             "mapper.local_images = 6",
             "mapper.global_growth = 1.1",
         ];
-        assert_eq!(lines(of_mapping(&MapperOptions::default(), None)), expected);
+        assert_eq!(lines(mapping_options(&MapperOptions::default(), None)), expected);
         let expected = [
             "dense.max_image_size = none",
             "dense.sources = 8",
             "dense.normal_maps = false",
             "dense.depth_pngs = false",
         ];
-        assert_eq!(lines(of_dense(&DenseOptions::default())), expected);
+        assert_eq!(lines(dense_options(&DenseOptions::default())), expected);
     }
 
     /// Values that are not the defaults.
@@ -464,8 +458,11 @@ mod tests {
             domain_sizes: Some(DomainSizes::default()),
             ..DetectorOptions::default()
         };
-        let found =
-            lines(of_features(&Calibration::Known(intrinsics), &detector, Some("0a1b".to_owned())));
+        let found = lines(feature_options(
+            &Calibration::Known(intrinsics),
+            &detector,
+            Some("0a1b".to_owned()),
+        ));
         for expected in [
             "features.camera_model = PINHOLE",
             "features.focal_prior = none",
@@ -483,10 +480,10 @@ mod tests {
         }
         let unknown =
             Calibration::Unknown { model: CameraModelKind::Opencv, focal_px: Some(1200.5) };
-        let found = lines(of_features(&unknown, &detector, None));
+        let found = lines(feature_options(&unknown, &detector, None));
         assert_eq!(found[..2], ["features.camera_model = OPENCV", "features.focal_prior = 1200.5"]);
 
-        let pairs = PairSelection::Sequential { reach: 10, ends: Ends::Closed, loops: 5 };
+        let pairs = PairSelection::Sequential { overlap: 10, is_closed: true, loops: 5 };
         let descriptors = |method| DescriptorOptions {
             max_ratio: None,
             method,
@@ -497,7 +494,7 @@ mod tests {
             (Method::Forest(Checks::Total(64)), "forest:total:64"),
             (Method::Cheapest(Checks::PerTree(8)), "cheapest:per_tree:8"),
         ] {
-            let found = lines(of_matching(
+            let found = lines(matching_options(
                 &pairs,
                 &descriptors(method),
                 &VerifyOptions::default(),
@@ -516,18 +513,22 @@ mod tests {
 
         for (mapper, baseline_m, expected) in [
             (
-                MapperOptions { rig: RigTerm::Paper, ..Default::default() },
+                MapperOptions { rig: RigMode::Paper, ..Default::default() },
                 Some(0.62),
                 "mapper.baseline = 0.62m",
             ),
             (
-                MapperOptions { rig: RigTerm::Paper, ..Default::default() },
+                MapperOptions { rig: RigMode::Paper, ..Default::default() },
                 None,
                 "mapper.rig = paper",
             ),
-            (MapperOptions { rig: RigTerm::Soft, ..Default::default() }, None, "mapper.rig = soft"),
-            (MapperOptions { rig: RigTerm::Hard, ..Default::default() }, None, "mapper.rig = hard"),
-            (MapperOptions { rig: RigTerm::Auto, ..Default::default() }, None, "mapper.rig = auto"),
+            (MapperOptions { rig: RigMode::Soft, ..Default::default() }, None, "mapper.rig = soft"),
+            (
+                MapperOptions { rig: RigMode::Rigid, ..Default::default() },
+                None,
+                "mapper.rig = rigid",
+            ),
+            (MapperOptions { rig: RigMode::Auto, ..Default::default() }, None, "mapper.rig = auto"),
             (
                 MapperOptions { readout: Some(Readout::Known(0.016)), ..Default::default() },
                 None,
@@ -549,7 +550,7 @@ mod tests {
                 "mapper.loss = trivial",
             ),
         ] {
-            let found = lines(of_mapping(&mapper, baseline_m));
+            let found = lines(mapping_options(&mapper, baseline_m));
             assert!(found.iter().any(|line| line == expected), "{expected}: {found:?}");
         }
     }
@@ -557,21 +558,21 @@ mod tests {
     #[test]
     fn keys_are_unique_and_include_all_of_the_command_line() {
         let (detector, mapper) = (DetectorOptions::default(), MapperOptions::default());
-        let mut keys: Vec<&str> = of_features(&Calibration::default(), &detector, None)
+        let mut keys: Vec<&str> = feature_options(&Calibration::default(), &detector, None)
             .into_iter()
-            .chain(of_matching(
+            .chain(matching_options(
                 &PairSelection::Exhaustive,
                 &Default::default(),
                 &Default::default(),
                 0,
             ))
-            .chain([of_pixel_limit(DEFAULT_MAX_PIXELS), of_cameras(CameraGrouping::Auto)])
-            .chain([of_calibration_files(&[]), of_known_intrinsics(false)])
-            .chain(of_rig_calibration(None, false))
-            .chain(of_mapping(&mapper, None))
-            .chain(of_input_model("", false))
-            .chain(of_database("", false))
-            .chain(of_dense(&DenseOptions::default()))
+            .chain([pixel_limit_option(DEFAULT_MAX_PIXELS), cameras_option(CameraGrouping::Auto)])
+            .chain([calibration_files_option(&[]), known_intrinsics_option(false)])
+            .chain(rig_calibration_options(None, false))
+            .chain(mapping_options(&mapper, None))
+            .chain(input_model_options("", false))
+            .chain(database_options("", false))
+            .chain(dense_options(&DenseOptions::default()))
             .map(|(key, _)| key)
             .collect();
         for (key, _) in ON_COMMAND_LINE {

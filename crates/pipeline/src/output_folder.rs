@@ -239,7 +239,7 @@ impl OutputFolder {
     /// # Errors
     ///
     /// The file cannot be read.
-    pub(crate) fn is_as_left(&self, name: &str) -> Result<bool, Error> {
+    pub(crate) fn is_unmodified(&self, name: &str) -> Result<bool, Error> {
         let link = self.root.find_link(name).map_err(output(&self.root.join(name)))?;
         let Some(known) = self.manifest.files.get(name).filter(|_| link.is_none()) else {
             return Ok(false);
@@ -391,7 +391,7 @@ impl OutputFolder {
         let old: Vec<(usize, &&String)> = all.iter().enumerate().filter(is_old).collect();
         // A foreign file may have been put there since the run was interrupted.
         for (_, name) in &old {
-            if !self.is_as_left(name)? {
+            if !self.is_unmodified(name)? {
                 return Err(Error::ForeignFile { path: self.root.join(name) });
             }
         }

@@ -7,9 +7,8 @@ use tiepoint_io::database::Database;
 use tiepoint_io::features::Descriptor;
 use tiepoint_io::timestamps;
 use tiepoint_sfm::matching::{
-    GlobalDescriptor, ImageWords, InvertedIndex, LOOPS, MAX_EXHAUSTIVE, PairSelection, REACH,
-    RetrievalIndex, SIMILAR, Sequence, Similar, Vocabulary, VocabularyOptions, VocabularyTree,
-    auto_pairs, num_similar,
+    AutoPairs, GlobalDescriptor, ImageWords, InvertedIndex, PairSelection, RetrievalIndex,
+    Sequence, Similar, Vocabulary, VocabularyOptions, VocabularyTree, auto_pairs, num_similar,
 };
 use tiepoint_sfm::natural_order;
 use tiepoint_sfm::scene::{Image, ImageId, ImagePair};
@@ -54,7 +53,7 @@ pub fn choose_pairs(
     workspace.fingerprint(Stage::Features)?;
     let database = Database::open(&workspace.database())?;
     let images = database.read_images()?;
-    let found = of_images(workspace, &database, &images, selection, seed);
+    let found = choose_pairs_of_images(workspace, &database, &images, selection, seed);
     database.close()?;
     found
 }
@@ -69,22 +68,22 @@ pub(crate) fn resolved(
 ) -> PairSelection {
     let is_exhaustive = recorded == Some(&*PairSelection::Exhaustive.to_string());
     match selection {
-        PairSelection::Auto if images <= MAX_EXHAUSTIVE || is_exhaustive => {
+        PairSelection::Auto if images <= AutoPairs::MAX_EXHAUSTIVE || is_exhaustive => {
             PairSelection::Exhaustive
         }
         other => other,
     }
 }
 
-/// As [`choose_pairs`], of an open database and its images.
-pub(crate) fn of_images(
+/// [`choose_pairs`] with the open database of the workspace and its images.
+pub(crate) fn choose_pairs_of_images(
     workspace: &Workspace,
     database: &Database,
     images: &[Image],
     selection: PairSelection,
     seed: u64,
 ) -> Result<PairChoice, Error> {
-    let times = workspace.timestamps_as_left()?;
+    let times = workspace.verified_timestamps()?;
     let times = times.map_or(Ok(BTreeMap::new()), |path| timestamps::read(&path))?;
     let selection = resolved(selection, images.len(), None);
     let (selection, pairs) = match selection {
@@ -107,11 +106,13 @@ fn automatic(
     let chosen = auto_pairs(&cameras, &similar);
     let of_sequences = cameras.iter().zip(&chosen.is_sequence).filter(|(_, is)| **is);
     let in_order: usize = of_sequences.map(|(camera, _)| camera.sequence.len()).sum();
-    let sequential = format!("sequential:{REACH}+loops:{LOOPS}");
+    let sequential =
+        format!("sequential:{}+loops:{}", AutoPairs::OVERLAP, AutoPairs::NUM_LOOP_IMAGES);
+    let by_similarity = format!("similar:{}", AutoPairs::NUM_SIMILAR_IMAGES);
     let selection = match images.len() - in_order {
         0 => sequential,
-        others if others == images.len() => format!("similar:{SIMILAR}"),
-        others => format!("{sequential} for {in_order} images, similar:{SIMILAR} for {others}"),
+        others if others == images.len() => by_similarity,
+        others => format!("{sequential} for {in_order} images, {by_similarity} for {others}"),
     };
     Ok((selection, chosen.pairs))
 }
@@ -322,10 +323,10 @@ mod tests {
     #[test]
     fn auto_is_exhaustive_for_few_images_and_where_all_pairs_were_matched() {
         let [auto, exhaustive] = [PairSelection::Auto, PairSelection::Exhaustive];
-        assert_eq!(resolved(auto, MAX_EXHAUSTIVE, None), exhaustive);
-        assert_eq!(resolved(auto, MAX_EXHAUSTIVE + 1, None), auto);
-        assert_eq!(resolved(auto, MAX_EXHAUSTIVE + 1, Some("exhaustive")), exhaustive);
-        assert_eq!(resolved(auto, MAX_EXHAUSTIVE + 1, Some("sequential:5")), auto);
+        assert_eq!(resolved(auto, AutoPairs::MAX_EXHAUSTIVE, None), exhaustive);
+        assert_eq!(resolved(auto, AutoPairs::MAX_EXHAUSTIVE + 1, None), auto);
+        assert_eq!(resolved(auto, AutoPairs::MAX_EXHAUSTIVE + 1, Some("exhaustive")), exhaustive);
+        assert_eq!(resolved(auto, AutoPairs::MAX_EXHAUSTIVE + 1, Some("sequential:5")), auto);
         let similar = PairSelection::Similar { count: 3 };
         assert_eq!(resolved(similar, 5, Some("exhaustive")), similar);
     }

@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize};
 use tiepoint_io::database::StageRow;
 use tiepoint_io::require_regular_file;
 
-use crate::camera_facts::FOUND;
+use crate::calibration_facts::FOUND;
 use crate::option_keys::{NONE, difference, shown};
 use crate::{Error, Stage, format};
 

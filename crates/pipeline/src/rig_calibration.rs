@@ -25,10 +25,10 @@ use crate::calibration::{camera_of_photo, is_named};
 pub(crate) fn known_rigs(
     path: &Path,
     scene: &mut Reconstruction,
-    are_refined: bool,
+    refine_extrinsics: bool,
 ) -> Result<KnownRigs, Error> {
     let fails = |what: String| Error::Calibration { path: path.to_owned(), what };
-    let mut known = KnownRigs { are_refined, ..KnownRigs::default() };
+    let mut known = KnownRigs { refine_extrinsics, ..KnownRigs::default() };
     let mut photos_of_cameras: BTreeMap<CameraId, String> = BTreeMap::new();
     for cameras in rig_calibration::read(path)? {
         let photos = photos_of(&cameras, scene).map_err(fails)?;

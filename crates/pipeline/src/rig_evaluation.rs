@@ -16,9 +16,7 @@ use crate::image_names::{folder_of, number};
 pub struct RigEvaluation {
     /// Folders of the two cameras.
     pub cameras: [String; 2],
-    /// Number of frames: pairs of registered images that are nearest in time. The key of the file
-    /// is `moments`.
-    #[serde(rename = "moments")]
+    /// Number of frames: pairs of registered images that are nearest in time.
     pub frames: usize,
     /// Distance of the two cameras, in model units times `scale`, as all lengths here.
     pub baseline: ErrorStatistics,

@@ -42,10 +42,8 @@ pub struct RigCamera {
     pub translation: [f64; 3],
     /// Its centre in the rig, in units of the model.
     pub centre_in_rig: [f64; 3],
-    /// soft, or hard: the poses of the frames satisfy the extrinsics exactly. The key of the file
-    /// is `hold`.
-    #[serde(rename = "hold")]
-    pub constraint: String,
+    /// Its constraint to the extrinsics.
+    pub constraint: ConstraintKind,
     /// Its clock relative to the reference camera's.
     pub clock: RigClock,
     /// Joint covariance, 8 x 8, of rotation (radians, R ← Exp(δ) R), translation (units of the
@@ -63,15 +61,55 @@ pub struct RigCamera {
     pub unobservable: Option<[f64; 3]>,
 }
 
+/// Constraint of a camera to its extrinsics.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum ConstraintKind {
+    /// The relative poses of the frames agree with the extrinsics up to standard deviations.
+    #[default]
+    Soft,
+    /// The poses of the frames satisfy the extrinsics exactly.
+    Rigid,
+}
+
+impl From<RigConstraint> for ConstraintKind {
+    fn from(constraint: RigConstraint) -> Self {
+        match constraint {
+            RigConstraint::Soft { .. } => Self::Soft,
+            RigConstraint::Rigid => Self::Rigid,
+        }
+    }
+}
+
+/// State of a camera's time offset to the reference camera.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum RigClockState {
+    /// The cameras are triggered together, which fixes the offset.
+    #[default]
+    Synchronised,
+    /// Offset and skew are estimated.
+    Estimated,
+    /// The images do not determine the offset. That of the time stamps is used.
+    Unobservable,
+}
+
+impl From<ClockState> for RigClockState {
+    fn from(state: ClockState) -> Self {
+        match state {
+            ClockState::Synchronised => Self::Synchronised,
+            ClockState::Estimated => Self::Estimated,
+            ClockState::Unobservable => Self::Unobservable,
+        }
+    }
+}
+
 /// Time of the reference camera = time + offset + drift (time − pivot).
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(expecting = "an object that describes a camera's clock")]
 pub struct RigClock {
-    /// together: the cameras are synchronised, which fixes the offset; free: the offset is
-    /// estimated; not observable: the images do not determine the offset, and that of the time
-    /// stamps is used. The key of the file is `timing`.
-    #[serde(rename = "timing")]
-    pub state: String,
+    /// Whether the offset was estimated.
+    pub state: RigClockState,
     /// Time offset at the pivot, in seconds.
     pub offset_s: f64,
     /// Its standard deviation, if it was estimated.
@@ -153,18 +191,9 @@ impl RigCamera {
             rotation_wxyz: [q.w, q.i, q.j, q.k],
             translation: pose.translation.into(),
             centre_in_rig: pose.origin_in_a().into(),
-            constraint: match camera.constraint {
-                RigConstraint::Soft { .. } => "soft",
-                RigConstraint::Rigid => "hard",
-            }
-            .to_owned(),
+            constraint: camera.constraint.into(),
             clock: RigClock {
-                state: match camera.sensor_pair.clock_state {
-                    ClockState::Synchronised => "together",
-                    ClockState::Estimated => "free",
-                    ClockState::Unobservable => "not observable",
-                }
-                .to_owned(),
+                state: camera.sensor_pair.clock_state.into(),
                 offset_s: clock.offset_s,
                 offset_sd_s: sd(6).filter(|_| is_estimated),
                 drift_ppm: 1e6 * clock.drift,

@@ -4,25 +4,24 @@ use serde::{Deserialize, Serialize};
 use tiepoint_sfm::rig::{RelativePose, RelativePoseStatistics, paper, relative_pose_statistics};
 use tiepoint_sfm::scene::{CameraId, ImagePair, Reconstruction};
 use tiepoint_sfm::{
-    CalibratedCamera, CalibratedRig, MappedModel, RigConstraint, RigPair, RigPairs, RigTerm,
+    CalibratedCamera, CalibratedRig, MappedModel, RigConstraint, RigMode, RigPair, RigPairs,
     relative_poses, rig_pairs,
 };
 
 use crate::image_names::folder_of;
-use crate::rig_file::RigFile;
+use crate::rig_file::{ConstraintKind, RigFile};
 
 /// Relative poses and extrinsics of two or more cameras with synchronous images.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(expecting = "an object")]
 pub struct RigReport {
-    /// The value of `--rig`: off, paper, soft, hard or auto; known with `--rig-calibration`.
+    /// The value of `--rig`: off, paper, soft, rigid or auto; known with `--rig-calibration`.
     pub mode: String,
     /// Relative-pose statistics of the first camera with each other one.
     pub cameras: Vec<RigCameraReport>,
     /// With `--rig paper`: the constraint in the units of this model.
     pub paper: Option<PaperReport>,
-    /// With soft, hard and auto: the estimated extrinsics. The key of the file is `mounting`.
-    #[serde(rename = "mounting")]
+    /// With soft, rigid and auto: the estimated extrinsics.
     pub extrinsics: Option<ExtrinsicsReport>,
 }
 
@@ -30,8 +29,8 @@ pub struct RigReport {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(expecting = "an object")]
 pub struct ExtrinsicsReport {
-    /// off, soft or hard.
-    pub chosen: String,
+    /// The chosen constraint: soft, rigid, or `None` for off.
+    pub chosen: Option<ConstraintKind>,
     /// The reason for the choice, in one sentence.
     pub why: String,
     /// With soft: standard deviation of each coordinate of the centre, as a fraction of the
@@ -116,9 +115,9 @@ pub struct PaperReport {
 impl RigReport {
     /// The report on the rig of a model; `None` for a single camera. `metres_per_unit` is the
     /// length of the unit that the model had while mapping; 1 if the model was not scaled.
-    /// `is_known`: the extrinsics come from a file, and `term` has no effect.
+    /// `is_known`: the extrinsics come from a file, and `mode` has no effect.
     pub(crate) fn new(
-        term: RigTerm,
+        mode: RigMode,
         is_known: bool,
         mapped: &MappedModel,
         metres_per_unit: f64,
@@ -139,21 +138,22 @@ impl RigReport {
                 .filter(|(rig, _)| is_uncalibrated(rig))
                 .filter_map(|(rig, poses)| uncalibrated_camera(model, rig, poses)),
         );
-        let mode = match term {
+        let mode_name = match mode {
             _ if is_known => "known",
-            RigTerm::Off => "off",
-            RigTerm::Paper => "paper",
-            RigTerm::Soft => "soft",
-            RigTerm::Hard => "hard",
-            RigTerm::Auto => "auto",
+            mode => mode.name(),
         };
-        let paper = match term {
-            RigTerm::Paper if !is_known => initial_pair
+        let paper = match mode {
+            RigMode::Paper if !is_known => initial_pair
                 .and_then(|pair| paper_report(model, &series, &cameras, pair, metres_per_unit)),
             _ => None,
         };
-        let extrinsics = rig.as_ref().map(|rig| extrinsics_report(term, model, rig));
-        (!cameras.is_empty()).then(|| Self { mode: mode.to_owned(), cameras, paper, extrinsics })
+        let extrinsics = rig.as_ref().map(|rig| extrinsics_report(mode, model, rig));
+        (!cameras.is_empty()).then(|| Self {
+            mode: mode_name.to_owned(),
+            cameras,
+            paper,
+            extrinsics,
+        })
     }
 }
 
@@ -197,25 +197,24 @@ fn camera_report(
 }
 
 fn extrinsics_report(
-    term: RigTerm,
+    mode: RigMode,
     model: &Reconstruction,
     rig: &CalibratedRig,
 ) -> ExtrinsicsReport {
     let CalibratedRig { constraint, error_off_px, error_px, .. } = *rig;
     let name = |image| model.image(image).name.clone();
-    let (chosen, sigmas) = match constraint {
-        None => ("off", None),
+    let sigmas = match constraint {
         Some(RigConstraint::Soft { sigma_translation, sigma_rotation_rad, .. }) => {
-            ("soft", Some((sigma_translation, sigma_rotation_rad.to_degrees())))
+            Some((sigma_translation, sigma_rotation_rad.to_degrees()))
         }
-        Some(RigConstraint::Rigid) => ("hard", None),
+        Some(RigConstraint::Rigid) | None => None,
     };
     let errors = format!("{error_off_px:.3} px without and {error_px:.3} px with it");
-    let why = match (term, constraint) {
-        (RigTerm::Auto, None) => {
+    let why = match (mode, constraint) {
+        (RigMode::Auto, None) => {
             "even a weak rig constraint would increase the error of held-out tracks".to_owned()
         }
-        (RigTerm::Auto, Some(RigConstraint::Rigid)) => {
+        (RigMode::Auto, Some(RigConstraint::Rigid)) => {
             format!("exact extrinsics fit held-out tracks as well as weaker ones: {errors}")
         }
         (_, Some(RigConstraint::Soft { .. })) => {
@@ -224,7 +223,7 @@ fn extrinsics_report(
         _ => format!("as asked for; error of held-out tracks {errors}"),
     };
     ExtrinsicsReport {
-        chosen: chosen.to_owned(),
+        chosen: constraint.map(ConstraintKind::from),
         why,
         sigma_translation: sigmas.map(|sigmas| sigmas.0),
         sigma_rotation_deg: sigmas.map(|sigmas| sigmas.1),

@@ -93,7 +93,7 @@ pub(crate) fn rigid_model(from: &Path) -> Result<(Reconstruction, RigidReport), 
     let (error_before_px, observations_before) =
         (model.mean_reprojection_error_px(), model.num_observations());
     let baseline = cameras[0].cam_from_rig.translation.norm();
-    location.add_camera_facts(&mut model);
+    location.add_calibration_facts(&mut model);
     let are_known = location.has_known_intrinsics();
     let refine = if are_known { RefineIntrinsics::NONE } else { MapperOptions::default().refine };
     let options = AdjustOptions { refine, max_iterations: ITERATIONS, ..AdjustOptions::default() };

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use tiepoint_sfm::matching::{CameraImages, Order, Sequence};
+use tiepoint_sfm::matching::{CameraImages, Sequence, SequenceOrder};
 use tiepoint_sfm::scene::Image;
 
 use crate::Error;
@@ -37,10 +37,10 @@ pub(crate) fn camera_images(
             ids.iter().map(|&id| value(id)).collect()
         };
         let found = of_all(&|id| times.get(name(id)).copied())
-            .map(|times_s| (times_s, Order::Times, TIME_RESOLUTION_S))
+            .map(|times_s| (times_s, SequenceOrder::Times, TIME_RESOLUTION_S))
             .or_else(|| {
                 let numbers = of_all(&|id| number(name(id)).map(|number| number as f64));
-                numbers.map(|numbers| (numbers, Order::Numbers, 0.0))
+                numbers.map(|numbers| (numbers, SequenceOrder::Numbers, 0.0))
             });
         if let Some((values, order, resolution)) = found {
             let mut all: Vec<(f64, u32)> = values.into_iter().zip(ids.iter().copied()).collect();
@@ -51,7 +51,7 @@ pub(crate) fn camera_images(
                 return Ok(CameraImages { sequence, order });
             }
         }
-        Ok(CameraImages { sequence: Sequence::new(ids), order: Order::Unknown })
+        Ok(CameraImages { sequence: Sequence::new(ids), order: SequenceOrder::Unknown })
     };
     groups.into_values().map(group).collect()
 }
@@ -82,7 +82,7 @@ mod tests {
         names.iter().map(|name| Image::new(name.as_str(), CameraId(0), Vec::new())).collect()
     }
 
-    fn orders(names: &[String], times: &[f64]) -> Vec<Order> {
+    fn orders(names: &[String], times: &[f64]) -> Vec<SequenceOrder> {
         let times = names.iter().cloned().zip(times.iter().copied()).collect();
         let found = camera_images(&images(names), &times).unwrap();
         found.into_iter().map(|camera| camera.order).collect()
@@ -95,20 +95,20 @@ mod tests {
     #[test]
     fn numbers_are_an_order_if_they_are_consecutive_apart_from_gaps() {
         let gap = numbered("a/IMG_", (0..20).chain(95..110));
-        assert_eq!(orders(&gap, &[]), [Order::Numbers]);
+        assert_eq!(orders(&gap, &[]), [SequenceOrder::Numbers]);
         let every_fifth = numbered("frame", (0..20).map(|k| 5 * k));
-        assert_eq!(orders(&every_fifth, &[]), [Order::Numbers]);
+        assert_eq!(orders(&every_fifth, &[]), [SequenceOrder::Numbers]);
         // Squares: the upper quartile of their differences is three times the lower one.
-        assert_eq!(orders(&numbered("", (0..40).map(|k| k * k)), &[]), [Order::Unknown]);
+        assert_eq!(orders(&numbered("", (0..40).map(|k| k * k)), &[]), [SequenceOrder::Unknown]);
         let names = ["tower.jpg", "gate.jpg", "yard.jpg"].map(str::to_owned);
-        assert_eq!(orders(&names, &[]), [Order::Unknown]);
+        assert_eq!(orders(&names, &[]), [SequenceOrder::Unknown]);
     }
 
     #[test]
     fn times_decide_where_all_images_have_one() {
         let names = numbered("", 0..40);
         let regular: Vec<f64> = (0..40).map(|k| 2.0 * f64::from(k)).collect();
-        assert_eq!(orders(&names, &regular), [Order::Times]);
+        assert_eq!(orders(&names, &regular), [SequenceOrder::Times]);
         // Bursts and breaks, as a person takes photos: exponential intervals of a minute.
         let mut time_s = 0.0;
         let by_hand: Vec<f64> = (0..40)
@@ -117,11 +117,11 @@ mod tests {
                 time_s
             })
             .collect();
-        assert_eq!(orders(&names, &by_hand), [Order::Unknown]);
-        assert_eq!(orders(&names, &by_hand[..39]), [Order::Numbers], "one has no time");
+        assert_eq!(orders(&names, &by_hand), [SequenceOrder::Unknown]);
+        assert_eq!(orders(&names, &by_hand[..39]), [SequenceOrder::Numbers], "one has no time");
         // A video at 25 frames a second with the times of EXIF.
         let seconds: Vec<f64> = (0..40).map(|k| f64::from(k / 25)).collect();
-        assert_eq!(orders(&names, &seconds), [Order::Times]);
+        assert_eq!(orders(&names, &seconds), [SequenceOrder::Times]);
     }
 
     #[test]

@@ -18,7 +18,7 @@ use tiepoint_io::video::{
 };
 use tiepoint_io::{is_image, is_unread_image, timestamps};
 
-use crate::fingerprint::of_files;
+use crate::fingerprint::hash_file_ends;
 use crate::output_folder::OutputFolder;
 use crate::records::json;
 use crate::{Error, Event, Photos, Stage, Watch, Workspace, emit};
@@ -79,7 +79,7 @@ pub fn open_input(
     let recordings = with_unique_names(recordings(&files))?;
     let videos = recordings
         .iter()
-        .map(|recording| Ok((recording.name.clone(), of_files(&recording.chapters)?)));
+        .map(|recording| Ok((recording.name.clone(), hash_file_ends(&recording.chapters)?)));
     let videos = videos.collect::<Result<Vec<_>, Error>>()?;
     let workspace = Workspace::create(root)?;
     let folder = workspace.root().join(FRAMES);
@@ -218,7 +218,7 @@ fn extract(
             let Selected { frame, is_target } = chosen;
             let name = format!("{}/{:0FRAME_DIGITS$}.jpg", recording.name, frame.index);
             frame.image.write(&frames.stage(&name)?)?;
-            emit(watch, &Event::FrameKept { image: &name, read })?;
+            emit(watch, &Event::FrameSelected { image: &name, read })?;
             selected.push((name, frame.time_s));
             if !is_target {
                 target_times_s.push(frame.time_s);
@@ -316,7 +316,7 @@ fn start_offsets_s(recordings: &[Recording], watch: Watch) -> Result<Vec<Option<
         *offset_s = audio_offset::start_offset_s(&of_first, &sound(other)?);
         if let Some(after_s) = *offset_s {
             let (reference, recording) = (first.name.as_str(), other.name.as_str());
-            emit(watch, &Event::SoundHeard { reference, recording, after_s })?;
+            emit(watch, &Event::AudioOffset { reference, recording, after_s })?;
         }
     }
     Ok(offsets_s)

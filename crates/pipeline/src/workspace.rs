@@ -305,12 +305,12 @@ impl Workspace {
     /// # Errors
     ///
     /// The file was changed or removed since, which the records would not show.
-    pub(crate) fn timestamps_as_left(&self) -> Result<Option<PathBuf>, Error> {
+    pub(crate) fn verified_timestamps(&self) -> Result<Option<PathBuf>, Error> {
         let path = self.timestamps();
         if !path.is_file() && self.folder.names().all(|name| name != TIMESTAMPS) {
             return Ok(None);
         }
-        if self.folder.is_as_left(TIMESTAMPS)? {
+        if self.folder.is_unmodified(TIMESTAMPS)? {
             Ok(Some(path))
         } else {
             Err(Error::ChangedTimes { path })
@@ -445,7 +445,7 @@ mod tests {
         let root = dir.path().join("b");
         from.fork(&root).unwrap();
         let mut fork = Workspace::open(&root).unwrap();
-        assert_eq!(fork.timestamps_as_left().unwrap(), Some(root.join(TIMESTAMPS)));
+        assert_eq!(fork.verified_timestamps().unwrap(), Some(root.join(TIMESTAMPS)));
         let matching = recipe(&fork.fingerprint(Stage::Features).unwrap());
         assert_eq!(fork.begin(Stage::Match, &matching, None).unwrap(), Progress::Kept);
         let mapping = recipe(&fork.fingerprint(Stage::Match).unwrap());

@@ -60,9 +60,9 @@ pub fn final_link_weights(poses: &[RelativePose]) -> Vec<f64> {
 /// A weight as standard deviations of a link.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sigmas {
-    /// Of each element of the translation, in model units.
+    /// Standard deviation of each element of the translation, in model units.
     pub translation: f64,
-    /// Of each element of the rotation, in radians.
+    /// Standard deviation of each element of the rotation, in radians.
     pub rotation_rad: f64,
 }
 

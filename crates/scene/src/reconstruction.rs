@@ -30,10 +30,10 @@ pub struct Reconstruction {
     /// Intrinsics around which adjustments have their prior on principal point and distortion. That
     /// of other cameras is around the image centre and no distortion.
     pub expected_intrinsics: BTreeMap<CameraId, Intrinsics>,
-    /// Pairs of cameras of one lens whose images are turned against each other: the fx of the one
-    /// is the fy of the other, and their radial distortion is equal. A camera may be in several
+    /// Pairs of cameras of one lens whose images have portrait and landscape format: the fx of the
+    /// one is the fy of the other, and their radial distortion is equal. A camera may be in several
     /// pairs.
-    pub turned: Vec<[CameraId; 2]>,
+    pub portrait_landscape_pairs: Vec<[CameraId; 2]>,
     /// Ids in the files that the model was read from.
     pub original_ids: OriginalIds,
 }

@@ -9,7 +9,7 @@
 use std::ops::ControlFlow;
 use std::time::Instant;
 
-use tiepoint_sfm::{MapperOptions, RefineIntrinsics, RigTerm, map};
+use tiepoint_sfm::{MapperOptions, RefineIntrinsics, RigMode, map};
 use tiepoint_synth::{Drive, DriveOptions, FeatureOptions, FeatureScene, MatchOptions, RouteKind};
 
 const RATE_HZ: f64 = 10.0;
@@ -40,7 +40,7 @@ fn main() {
         let graph = scene.graph(&MatchOptions { window: Some(WINDOW), ..MatchOptions::default() });
         let blank = scene.without_poses();
         let mut observations = 0;
-        let seconds = [RigTerm::Off, RigTerm::Soft].map(|rig| {
+        let seconds = [RigMode::Off, RigMode::Soft].map(|rig| {
             let options =
                 MapperOptions { refine: RefineIntrinsics::NONE, rig, ..MapperOptions::default() };
             let start = Instant::now();

@@ -12,7 +12,7 @@ use std::ops::ControlFlow;
 
 use tiepoint_eval::{Alignment, Statistics, compare_poses};
 use tiepoint_scene::{CorrespondenceGraph, ImageId, Reconstruction};
-use tiepoint_sfm::{CalibratedCamera, MappedModel, MapperOptions, RefineIntrinsics, RigTerm, map};
+use tiepoint_sfm::{CalibratedCamera, MappedModel, MapperOptions, RefineIntrinsics, RigMode, map};
 use tiepoint_synth::{
     ClockEffects, Drive, DriveOptions, Effects, FeatureOptions, FeatureScene, MatchOptions,
 };
@@ -51,7 +51,7 @@ fn cells() -> Vec<Cell> {
         ("clocks, jitter 5 ms", with(none, 0.3, 0.005), 0),
         ("clocks, vibration", with(preset("vibration"), 0.3, 0.0005), 0),
         ("clocks, 20 % wrong", with(none, 0.3, 0.0005), 20),
-        ("clocks, misaligned", with(preset("mounting"), 0.3, 0.0005), 0),
+        ("clocks, misaligned", with(preset("misalignment"), 0.3, 0.0005), 0),
         ("flex 0.1°", flex(none, 0.1), 0),
         ("flex 0.5°", flex(none, 0.5), 0),
         ("flex 2°", flex(none, 2.0), 0),
@@ -100,7 +100,7 @@ struct Outcome {
     held_out_px: [f64; 2],
 }
 
-fn run(scene: &Scene, seed: u64, rig: RigTerm) -> Option<Outcome> {
+fn run(scene: &Scene, seed: u64, rig: RigMode) -> Option<Outcome> {
     let options =
         MapperOptions { refine: RefineIntrinsics::NONE, rig, seed, ..MapperOptions::default() };
     let models = map(&scene.graph, &scene.blank, &mut |_| Vec::new(), &options, &mut |_| {
@@ -138,14 +138,14 @@ fn main() {
         let mut notes = String::new();
         for seed in first..first + seeds {
             let scene = scene(seed, &cell, frames);
-            for (ates, rig) in ates.iter_mut().zip([RigTerm::Off, RigTerm::Soft, RigTerm::Auto]) {
+            for (ates, rig) in ates.iter_mut().zip([RigMode::Off, RigMode::Soft, RigMode::Auto]) {
                 let Some(Outcome { ate_m, scale, right, held_out_px: [off_px, held_px] }) =
                     run(&scene, seed, rig)
                 else {
                     continue;
                 };
                 ates.push(100.0 * ate_m);
-                if rig != RigTerm::Auto {
+                if rig != RigMode::Auto {
                     continue;
                 }
                 notes += &format!("  {:+.1} %", 100.0 * (held_px / off_px - 1.0));

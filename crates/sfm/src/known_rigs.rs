@@ -23,7 +23,7 @@ pub struct KnownRigs {
     pub frames: Vec<KnownFrame>,
     /// Whether the extrinsics are initial values, which bundle adjustment refines. Else they are
     /// constant.
-    pub are_refined: bool,
+    pub refine_extrinsics: bool,
 }
 
 impl KnownRigs {

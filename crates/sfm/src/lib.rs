@@ -34,7 +34,7 @@ pub use model_tools::{
     transfer_model,
 };
 pub use noise::keypoint_sigma_px;
-pub use options::{MapperOptions, RigTerm};
+pub use options::{MapperOptions, RigMode};
 pub use register::{Localization, QueryCamera, RegisterOptions, localize_image, register_image};
 pub use rigs::{
     BaselineLink, BaselineTerm, CalibratedCamera, CalibratedRig, ClockState, Descriptors,
@@ -53,6 +53,6 @@ pub use tracks::{
     held_out_rms_px, hold_out_tracks, merge_tracks, retriangulate, triangulate_image,
 };
 pub use two_view::{
-    FocalPrior, InitialPair, VerifyOptions, View, estimate_focal_lengths, focal_priors,
-    initial_pairs, verify_pair,
+    FocalPrior, ImageObservations, InitialPair, VerifyOptions, estimate_focal_lengths,
+    focal_priors, initial_pairs, verify_pair,
 };

@@ -9,7 +9,7 @@ use crate::tracks::{FilterOptions, TrackOptions};
 
 /// Constraint between the cameras of a rig.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum RigTerm {
+pub enum RigMode {
     /// No constraint.
     #[default]
     Off,
@@ -20,10 +20,31 @@ pub enum RigTerm {
     /// One relative pose for each camera, with standard deviations selected on held-out tracks.
     Soft,
     /// One relative pose for each camera, exactly.
-    Hard,
-    /// The most rigid of off, soft and hard that does not increase the error of held-out tracks
+    Rigid,
+    /// The strongest of off, soft and rigid that does not increase the error of held-out tracks
     /// beyond a tolerance.
     Auto,
+}
+
+impl RigMode {
+    /// All modes.
+    pub const ALL: [Self; 5] = [Self::Off, Self::Paper, Self::Soft, Self::Rigid, Self::Auto];
+
+    /// The name: off, paper, soft, rigid or auto.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Off => "off",
+            Self::Paper => "paper",
+            Self::Soft => "soft",
+            Self::Rigid => "rigid",
+            Self::Auto => "auto",
+        }
+    }
+
+    /// The mode of a name.
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|mode| mode.name() == name)
+    }
 }
 
 /// Options of the mapper.
@@ -48,7 +69,7 @@ pub struct MapperOptions {
     /// Global bundle adjustment runs when the number of images or points has grown by this factor.
     pub global_growth: f64,
     /// Constraint between the cameras of a rig.
-    pub rig: RigTerm,
+    pub rig: RigMode,
     /// Readout time of rolling-shutter cameras; `None` for global shutters.
     pub readout: Option<Readout>,
     /// Seed of all random numbers.
@@ -67,7 +88,7 @@ impl Default for MapperOptions {
             loss: Loss::SoftL1(4.0),
             local_images: 6,
             global_growth: 1.1,
-            rig: RigTerm::Off,
+            rig: RigMode::Off,
             readout: None,
             seed: 0,
         }

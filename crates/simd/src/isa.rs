@@ -50,7 +50,7 @@ impl Isa {
         *BEST.get_or_init(|| Self::available()[0])
     }
 
-    /// What the CPU supports.
+    /// The level of the instruction set.
     #[inline]
     pub fn level(self) -> Level {
         self.0

@@ -9,7 +9,7 @@ use tiepoint_geometry::Rigid3;
 use tiepoint_geometry::nalgebra::Vector3;
 use tiepoint_synth::image::{Rgb, RgbImage, imageops};
 use tiepoint_synth::{
-    Development, Drive, DriveOptions, Lens, LidarOptions, Mount, Mounting, Renderer, RowPose,
+    Development, Drive, DriveOptions, Lens, LidarOptions, Mount, Renderer, RowPose, ViewDirection,
     develop, reference_cloud,
 };
 
@@ -26,7 +26,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let options = DriveOptions {
         seed,
         length_m: 320.0,
-        mounts: Mounting::ALL.map(Mount::of).to_vec(),
+        mounts: ViewDirection::ALL.map(Mount::facing).to_vec(),
         width: WIDTH,
         height: HEIGHT,
         effects: "lens+rolling-shutter+vibration+traffic".parse()?,

@@ -20,7 +20,7 @@ use rayon::prelude::*;
 use tiepoint_geometry::Rng;
 use tiepoint_synth::image::{DynamicImage, codecs::jpeg::JpegEncoder};
 use tiepoint_synth::{
-    Drive, DriveOptions, FeatureOptions, FeatureScene, Motion, Mount, Mounting, RouteKind,
+    Drive, DriveOptions, FeatureOptions, FeatureScene, Motion, Mount, RouteKind, ViewDirection,
 };
 
 /// Length of the loop for each photo, in metres.
@@ -39,7 +39,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         seed,
         route: RouteKind::Loop,
         length_m,
-        mounts: Mounting::ALL.map(Mount::of).to_vec(),
+        mounts: ViewDirection::ALL.map(Mount::facing).to_vec(),
         motion: Motion { overlap_m: 0.5 * length_m, ..Motion::default() },
         effects: "all".parse()?,
         rate_hz: 5.0,

@@ -8,7 +8,7 @@
 use std::path::Path;
 
 use tiepoint_synth::{
-    Drive, DriveOptions, Effects, LidarOptions, Mount, Mounting, reference_cloud, write_ply,
+    Drive, DriveOptions, Effects, LidarOptions, Mount, ViewDirection, reference_cloud, write_ply,
 };
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -18,7 +18,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let seed = arguments.get(2).map_or(Ok(1), |seed| seed.parse())?;
     let options = DriveOptions {
         seed,
-        mounts: Mounting::ALL.map(Mount::of).to_vec(),
+        mounts: ViewDirection::ALL.map(Mount::facing).to_vec(),
         width: 1000,
         height: 750,
         effects,

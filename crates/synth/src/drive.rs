@@ -66,7 +66,7 @@ impl Default for DriveOptions {
             length_m: 200.0,
             motion: Motion::default(),
             street: StreetOptions::default(),
-            mounts: Mount::stereo(crate::Mounting::Front, 0.5).to_vec(),
+            mounts: Mount::stereo(crate::ViewDirection::Front, 0.5).to_vec(),
             width: 640,
             height: 480,
             rate_hz: 10.0,

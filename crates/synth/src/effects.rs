@@ -110,7 +110,7 @@ impl Effects {
             effects.suspension = 1.0;
             effects.vibration_rad = 0.05f64.to_radians();
         }),
-        ("mounting", |effects| effects.is_misaligned = true),
+        ("misalignment", |effects| effects.is_misaligned = true),
         ("traffic", |effects| effects.moving_cars = 6),
         // Set by hand to 0.2 s; a quartz; the jitter of millisecond time stamps.
         ("clocks", |effects| {

@@ -25,7 +25,7 @@ pub use lens::{ActionLens, Lens};
 pub use lidar::{LidarOptions, reference_cloud};
 pub use photometry::{Development, develop};
 pub use render::{Radiance, Renderer, RowPose};
-pub use rigs::{Mount, Mounting};
+pub use rigs::{Mount, ViewDirection};
 pub use route::{Route, RoutePosition};
 pub use tiepoint_geometry as geometry;
 pub use trajectory::{Motion, Trajectory, Velocity};

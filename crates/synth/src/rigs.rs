@@ -14,9 +14,9 @@ const MISALIGNMENT_RAD: f64 = 0.026;
 /// axle), in metres.
 const ROOF_M: [f64; 3] = [0.0, -1.55, 1.1];
 
-/// Viewing direction of a camera, as in the experiments of the paper.
+/// View direction of a camera, as in the experiments of the paper.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Mounting {
+pub enum ViewDirection {
     /// Forward.
     Front,
     /// Forward right, 45°.
@@ -29,9 +29,9 @@ pub enum Mounting {
     Left,
 }
 
-impl Mounting {
+impl ViewDirection {
     /// All directions.
-    pub const ALL: [Mounting; 5] =
+    pub const ALL: [ViewDirection; 5] =
         [Self::Front, Self::FrontRight, Self::Right, Self::Rear, Self::Left];
 
     /// The name, which is also the name of the folder of the camera.
@@ -70,12 +70,12 @@ impl Mounting {
     }
 }
 
-impl FromStr for Mounting {
+impl FromStr for ViewDirection {
     type Err = Error;
     fn from_str(name: &str) -> Result<Self, Error> {
-        Self::ALL.into_iter().find(|mounting| mounting.name() == name).ok_or_else(|| {
+        Self::ALL.into_iter().find(|direction| direction.name() == name).ok_or_else(|| {
             Error::UnknownName {
-                what: "mounting",
+                what: "view direction",
                 name: name.to_owned(),
                 known: Self::ALL.map(Self::name).join(", "),
             }
@@ -108,15 +108,16 @@ impl Mount {
     }
 
     /// The aligned camera of a direction.
-    pub fn of(mounting: Mounting) -> Self {
-        Self::at(mounting.name(), mounting.position_m(), mounting.yaw_rad(), 0.0)
+    pub fn facing(direction: ViewDirection) -> Self {
+        Self::at(direction.name(), direction.position_m(), direction.yaw_rad(), 0.0)
     }
 
     /// A stereo pair with parallel axes and a baseline of `baseline_m`: `left` and `right` of the
-    /// viewing direction. The pair looks forward with [`Mounting::Front`]; with [`Mounting::Right`]
-    /// it looks sideways, and one camera is in front of the other (Experiment II of the paper).
-    pub fn stereo(mounting: Mounting, baseline_m: f64) -> [Self; 2] {
-        let middle = Self::of(mounting).cam_from_vehicle;
+    /// view direction. The pair looks forward with [`ViewDirection::Front`]; with
+    /// [`ViewDirection::Right`] it looks sideways, and one camera is in front of the other
+    /// (Experiment II of the paper).
+    pub fn stereo(direction: ViewDirection, baseline_m: f64) -> [Self; 2] {
+        let middle = Self::facing(direction).cam_from_vehicle;
         [("left", -0.5), ("right", 0.5)].map(|(name, side)| {
             let shift = Vector3::new(-side * baseline_m, 0.0, 0.0);
             let cam_from_vehicle = Rigid3::new(middle.rotation, middle.translation + shift);
@@ -142,25 +143,25 @@ mod tests {
 
     #[test]
     fn viewing_directions_match_their_names() {
-        for (mounting, axis) in [
-            (Mounting::Front, Vector3::z()),
-            (Mounting::Right, Vector3::x()),
-            (Mounting::Rear, -Vector3::z()),
-            (Mounting::Left, -Vector3::x()),
-            (Mounting::FrontRight, Vector3::new(1.0, 0.0, 1.0).normalize()),
+        for (direction, axis) in [
+            (ViewDirection::Front, Vector3::z()),
+            (ViewDirection::Right, Vector3::x()),
+            (ViewDirection::Rear, -Vector3::z()),
+            (ViewDirection::Left, -Vector3::x()),
+            (ViewDirection::FrontRight, Vector3::new(1.0, 0.0, 1.0).normalize()),
         ] {
-            let vehicle_from_cam = Mount::of(mounting).cam_from_vehicle.inverse();
+            let vehicle_from_cam = Mount::facing(direction).cam_from_vehicle.inverse();
             assert!(
                 (vehicle_from_cam.rotation * Vector3::z() - axis).norm() < TOLERANCE,
-                "{mounting:?}"
+                "{direction:?}"
             );
             assert!(
                 (vehicle_from_cam.rotation * Vector3::y() - Vector3::y()).norm() < TOLERANCE,
-                "{mounting:?}"
+                "{direction:?}"
             );
-            assert_eq!(mounting.name().parse::<Mounting>().unwrap(), mounting);
+            assert_eq!(direction.name().parse::<ViewDirection>().unwrap(), direction);
         }
-        assert!("roof".parse::<Mounting>().is_err());
+        assert!("roof".parse::<ViewDirection>().is_err());
     }
 
     #[test]
@@ -178,13 +179,13 @@ mod tests {
 
     #[test]
     fn baseline_of_a_stereo_pair_points_right() {
-        for mounting in Mounting::ALL {
-            let [left, right] = Mount::stereo(mounting, 0.5);
+        for direction in ViewDirection::ALL {
+            let [left, right] = Mount::stereo(direction, 0.5);
             let right_from_left = right.cam_from_vehicle * left.cam_from_vehicle.inverse();
             let centre = right_from_left.origin_in_a();
             assert!(
                 (centre - Vector3::new(0.5, 0.0, 0.0)).norm() < TOLERANCE,
-                "{mounting:?}: {centre}"
+                "{direction:?}: {centre}"
             );
         }
     }

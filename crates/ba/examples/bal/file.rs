@@ -5,7 +5,7 @@ use std::fmt::Write;
 use std::str::FromStr;
 
 use tiepoint_ba::nalgebra::{Vector2, Vector3};
-use tiepoint_ba::{AutoDiff, Key, Loss, Order, Problem};
+use tiepoint_ba::{AutoDiff, EliminationOrder, Key, Loss, Problem};
 use tiepoint_geometry::{Rigid3, so3};
 
 use crate::snavely::{Snavely, SnavelyResidual};
@@ -119,8 +119,8 @@ impl Bal {
             .zip(self.poses.iter().zip(&self.intrinsics))
             .map(|(i, (pose, intrinsics))| {
                 (
-                    problem.add_parameter(*pose, Order::At(i)),
-                    problem.add_parameter(*intrinsics, Order::At(i)),
+                    problem.add_parameter(*pose, EliminationOrder::At(i)),
+                    problem.add_parameter(*intrinsics, EliminationOrder::At(i)),
                 )
             })
             .collect();

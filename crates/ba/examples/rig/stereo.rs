@@ -9,7 +9,7 @@ use tiepoint_ba::factors::RigReprojection;
 use tiepoint_ba::nalgebra::{
     Matrix3, Matrix3x4, Rotation3, UnitQuaternion, Vector2, Vector3, Vector4,
 };
-use tiepoint_ba::{Error, Key, Loss, Order, Problem};
+use tiepoint_ba::{EliminationOrder, Error, Key, Loss, Problem};
 use tiepoint_geometry::Rigid3;
 use tiepoint_geometry::cameras::Pinhole;
 
@@ -100,7 +100,8 @@ impl StereoData {
     /// Landmarks start at the position of their first observation.
     pub(crate) fn problem(&self, loss: Loss, right: RightIntrinsics) -> Result<Adjustment, Error> {
         let mut problem = Problem::new();
-        let intrinsics = [0, 1].map(|_| problem.add_parameter(self.intrinsics, Order::Shared));
+        let intrinsics =
+            [0, 1].map(|_| problem.add_parameter(self.intrinsics, EliminationOrder::Last));
         problem.fix(intrinsics[0]);
         match right {
             RightIntrinsics::Fixed => problem.fix(intrinsics[1]),
@@ -108,12 +109,12 @@ impl StereoData {
         }
         let cameras = [0.0, -self.baseline_m].map(|x| {
             let right = Rigid3::from_axis_angle(Vector3::zeros(), Vector3::new(x, 0.0, 0.0));
-            problem.add_parameter(right, Order::Shared)
+            problem.add_parameter(right, EliminationOrder::Last)
         });
         cameras.iter().for_each(|&camera| problem.fix(camera));
         let poses: Vec<_> = (0u32..)
             .zip(&self.poses)
-            .map(|(frame, pose)| problem.add_parameter(pose.inverse(), Order::At(frame)))
+            .map(|(frame, pose)| problem.add_parameter(pose.inverse(), EliminationOrder::At(frame)))
             .collect();
         if let Some(&first) = poses.first() {
             problem.fix(first);

@@ -10,7 +10,7 @@ use super::implicit::EliminatedSystem;
 /// After so many iterations the current iterate is the step. If it is a bad one, damping grows.
 const MAX_ITERATIONS: usize = 500;
 
-pub(crate) struct Conjugate {
+pub(crate) struct ConjugateGradients {
     columns: Columns,
     /// The columns are those of C, and the reduced system is never formed.
     implicit: bool,
@@ -18,7 +18,7 @@ pub(crate) struct Conjugate {
     factors: Vec<f64>,
 }
 
-impl Conjugate {
+impl ConjugateGradients {
     pub(crate) fn new(columns: Columns, implicit: bool) -> Self {
         let len = columns.first_column.windows(2).map(|ends| (ends[1] - ends[0]).pow(2)).sum();
         Self { columns, implicit, factors: vec![0.0; len] }
@@ -84,7 +84,7 @@ fn axpy(y: &mut [f64], alpha: f64, x: &[f64]) {
     y.iter_mut().zip(x).for_each(|(y, x)| *y += alpha * x);
 }
 
-impl Layout for Conjugate {
+impl Layout for ConjugateGradients {
     fn block_column(&self, a: usize) -> std::ops::Range<usize> {
         self.columns.block_column(a)
     }
@@ -93,7 +93,7 @@ impl Layout for Conjugate {
     }
 }
 
-impl Factorisation for Conjugate {
+impl Factorisation for ConjugateGradients {
     fn factorise(
         &mut self,
         lower: &mut Vec<f64>,

@@ -19,7 +19,7 @@ use crate::eliminate::Sums;
 use crate::structure::{ColumnBlock, Structure, padded, tile_index, tile_lanes};
 
 pub(crate) use columns::Columns;
-pub(crate) use conjugate::Conjugate;
+pub(crate) use conjugate::ConjugateGradients;
 pub(crate) use dense::Dense;
 pub(crate) use factorisation::Factorisation;
 use factorisation::NotPositive;

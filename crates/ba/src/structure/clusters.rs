@@ -115,7 +115,7 @@ mod tests {
     use super::{is_subset, is_worth_padding};
     use crate::factors::Reprojection;
     use crate::structure::{Elimination, Structure};
-    use crate::{Order, Problem};
+    use crate::{EliminationOrder, Problem};
 
     #[test]
     fn a_list_is_within_another_one() {
@@ -139,9 +139,11 @@ mod tests {
     /// Images with shared intrinsics. `points` are the images that see each point.
     fn seen_by(points: &[&[usize]], elimination: Elimination) -> (Structure, Vec<BTreeSet<u32>>) {
         let mut problem = Problem::new();
-        let intrinsics = problem.add_parameter(Vector3::new(600.0, 320.0, 240.0), Order::Shared);
-        let poses: Vec<_> =
-            (0..6).map(|i| problem.add_parameter(Rigid3::identity(), Order::At(i))).collect();
+        let intrinsics =
+            problem.add_parameter(Vector3::new(600.0, 320.0, 240.0), EliminationOrder::Last);
+        let poses: Vec<_> = (0..6)
+            .map(|i| problem.add_parameter(Rigid3::identity(), EliminationOrder::At(i)))
+            .collect();
         for images in points {
             let point = problem.add_landmark(Vector3::new(0.0, 0.0, 5.0));
             for &image in *images {

@@ -65,7 +65,7 @@ pub(crate) struct Structure {
     /// Total length of the tiles and stashes of all tasks.
     pub(crate) memory_len: usize,
     /// For each store and variable: offset of its step, or `variable::FIXED`.
-    pub(crate) step_at: Vec<Vec<u32>>,
+    pub(crate) step_offsets: Vec<Vec<u32>>,
     pub(crate) step_len: usize,
     pub(crate) locations: Vec<Vec<Location>>,
 }
@@ -119,7 +119,7 @@ impl Structure {
             task.memory = memory_len..memory_len + len;
             memory_len += len;
         }
-        let mut step_at: Vec<Vec<u32>> = (locations.iter())
+        let mut step_offsets: Vec<Vec<u32>> = (locations.iter())
             .map(|locations| {
                 let at = |location: &Location| match location.block {
                     NONE => crate::variable::FIXED,
@@ -131,10 +131,10 @@ impl Structure {
         for landmark in
             tasks.iter().flat_map(|task| &task.landmarks).filter(|landmark| landmark.dof > 0)
         {
-            step_at[landmark.store as usize][landmark.slot as usize] = landmark.step as u32;
+            step_offsets[landmark.store as usize][landmark.slot as usize] = landmark.step as u32;
         }
         let columns = blocks.iter().map(ColumnBlock::num_free).sum();
-        Ok(Self { blocks, kept_len, columns, tasks, memory_len, step_at, step_len, locations })
+        Ok(Self { blocks, kept_len, columns, tasks, memory_len, step_offsets, step_len, locations })
     }
 
     /// Total number of elements of Y over all landmarks.

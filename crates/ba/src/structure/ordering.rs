@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use crate::error::Error;
 use crate::problem::Problem;
-use crate::variable::{Meta, Order, Role};
+use crate::variable::{EliminationOrder, Meta, Role};
 
 use super::block::{ColumnBlock, Location, NONE};
 use super::elimination::Elimination;
@@ -164,18 +164,19 @@ pub(super) fn order_blocks(
         (store, slot, problem.metas[store][slot], problem.values.stores[store].dof())
     };
     // Members of all chains, and for each chain its order and its range of members.
-    let (mut members, mut chains): (Vec<u32>, Vec<(Order, std::ops::Range<usize>)>) =
+    let (mut members, mut chains): (Vec<u32>, Vec<(EliminationOrder, std::ops::Range<usize>)>) =
         (Vec::new(), Vec::new());
     for first in 0..variables.len() as u32 {
         if variables.statuses[first as usize] != Status::Kept || has_previous[first as usize] {
             continue;
         }
-        let (mut begin, mut order, mut width, mut at) = (members.len(), Order::Shared, 0, first);
+        let (mut begin, mut order, mut width, mut at) =
+            (members.len(), EliminationOrder::Last, 0, first);
         while at != NONE {
             let (_, _, meta, dof) = of(at);
             if width + dof > MAX_MERGED_DOF && width > 0 {
                 chains.push((order, begin..members.len()));
-                (begin, order, width) = (members.len(), Order::Shared, 0);
+                (begin, order, width) = (members.len(), EliminationOrder::Last, 0);
             }
             order = order.min(order_of(meta));
             width += dof;
@@ -234,9 +235,9 @@ fn classify(
     classes
 }
 
-fn order_of(meta: Meta) -> Order {
+fn order_of(meta: Meta) -> EliminationOrder {
     match meta.role {
         Role::Kept(order) => order,
-        Role::Eliminated => Order::Shared,
+        Role::Eliminated => EliminationOrder::Last,
     }
 }

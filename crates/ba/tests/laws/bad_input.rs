@@ -6,8 +6,8 @@ use std::ops::ControlFlow;
 use tiepoint_ba::factors::{Between, Prior, Reprojection};
 use tiepoint_ba::nalgebra::{SMatrix, SVector, Vector2, Vector3, Vector4};
 use tiepoint_ba::{
-    Error, Factor, Linear, LinearSolver, Loss, Options, Order, Problem, Refs, Solver, Summary,
-    Termination,
+    EliminationOrder, Error, Factor, Linear, LinearSolver, Loss, Options, Problem, Refs, Solver,
+    Summary, Termination,
 };
 use tiepoint_geometry::Rigid3;
 use tiepoint_geometry::cameras::SimpleRadial;
@@ -58,12 +58,12 @@ fn problems_without_unknowns_end_at_once() {
         assert_eq!((summary.termination, summary.final_cost), (Termination::Nothing, 0.0));
 
         let mut no_factors = Problem::new();
-        let x = no_factors.add_parameter(1.5, Order::Shared);
+        let x = no_factors.add_parameter(1.5, EliminationOrder::Last);
         assert_eq!(solve(&mut no_factors, solver, 10).termination, Termination::Nothing);
         assert_eq!(no_factors.get(x), 1.5);
 
         let mut all_fixed = Problem::new();
-        let x = all_fixed.add_parameter(1.5, Order::Shared);
+        let x = all_fixed.add_parameter(1.5, EliminationOrder::Last);
         all_fixed.fix(x);
         all_fixed.add(x, Prior::new(1.0, &[1.0]).unwrap(), Loss::Trivial).unwrap();
         let summary = solve(&mut all_fixed, solver, 10);
@@ -82,7 +82,7 @@ fn non_finite_initial_values_are_reported() {
             (Corrupted { target: 0.0, residual: 1.0, slope: f64::INFINITY }, "Jacobian"),
         ] {
             let mut problem = Problem::new();
-            let x = problem.add_parameter(1.0, Order::Shared);
+            let x = problem.add_parameter(1.0, EliminationOrder::Last);
             problem
                 .add(x, Corrupted { target: 0.0, residual: 1.0, slope: 1.0 }, Loss::Trivial)
                 .unwrap();
@@ -111,7 +111,7 @@ impl Factor<1> for Root {
 fn a_step_to_non_finite_values_is_rejected() {
     for solver in SOLVERS {
         let mut problem = Problem::new();
-        let x = problem.add_parameter(4.0, Order::Shared);
+        let x = problem.add_parameter(4.0, EliminationOrder::Last);
         problem.add(x, Root, Loss::Trivial).unwrap();
         let summary = solve(&mut problem, solver, 100);
         assert!(summary.iterations.iter().any(|record| !record.accepted), "{summary}");
@@ -127,7 +127,7 @@ fn undetermined_directions_do_not_move() {
         let mut scene = Scene::new(5, 40, 0.6, 5, Intrinsics::Shared, NOISE_PX);
         let alone =
             Rigid3::from_axis_angle(Vector3::new(0.1, 0.2, 0.3), Vector3::new(1.0, 2.0, 3.0));
-        let key = scene.problem.add_parameter(alone, Order::At(3));
+        let key = scene.problem.add_parameter(alone, EliminationOrder::At(3));
         let summary = solve(&mut scene.problem, solver, 30);
         assert!(summary.final_cost < 0.1 * summary.initial_cost, "{solver:?}: {summary}");
         let moved = scene.problem.get(key) * alone.inverse();
@@ -141,8 +141,8 @@ fn independent_subproblems_are_solved() {
     for solver in SOLVERS {
         let mut problem = Problem::new();
         let (a, b) = (
-            problem.add_parameter(0.0, Order::At(0)),
-            problem.add_parameter(Vector2::new(5.0, 5.0), Order::At(9)),
+            problem.add_parameter(0.0, EliminationOrder::At(0)),
+            problem.add_parameter(Vector2::new(5.0, 5.0), EliminationOrder::At(9)),
         );
         problem.add(a, Prior::new(3.0, &[0.5]).unwrap(), Loss::Trivial).unwrap();
         problem
@@ -161,13 +161,13 @@ fn two_cameras(
     pixel: Vector2<f64>,
 ) -> (Problem, tiepoint_ba::Key<Vector3<f64>>) {
     let mut problem = Problem::new();
-    let params = problem.add_parameter(Vector4::from(PARAMS), Order::Shared);
+    let params = problem.add_parameter(Vector4::from(PARAMS), EliminationOrder::Last);
     problem.fix(params);
     let key = problem.add_landmark(point);
     for x in [0.0, -1.0] {
         let pose = problem.add_parameter(
             Rigid3::from_axis_angle(Vector3::zeros(), Vector3::new(x, 0.0, 0.0)),
-            Order::Shared,
+            EliminationOrder::Last,
         );
         problem.fix(pose);
         let factor = Reprojection::<SimpleRadial>::new(pixel + Vector2::new(100.0 * x, 0.0), 1.0);
@@ -204,12 +204,12 @@ fn a_camera_may_move_past_a_mismatched_point() {
         [LinearSolver::Dense, LinearSolver::Sparse, LinearSolver::Iterative, LinearSolver::Implicit]
     {
         let mut problem = Problem::new();
-        let params = problem.add_parameter(Vector4::new(fx, cx, cy, 0.0), Order::Shared);
+        let params = problem.add_parameter(Vector4::new(fx, cx, cy, 0.0), EliminationOrder::Last);
         problem.fix(params);
         let poses = [0.0, 1.0, 0.0].map(|back| {
             problem.add_parameter(
                 Rigid3::from_axis_angle(Vector3::zeros(), Vector3::new(0.0, 0.0, back)),
-                Order::Shared,
+                EliminationOrder::Last,
             )
         });
         problem.fix(poses[0]);
@@ -247,15 +247,15 @@ fn a_camera_may_move_past_a_mismatched_point() {
 #[test]
 fn invalid_input_is_reported() {
     let mut problem = Problem::new();
-    let pose = problem.add_parameter(Rigid3::identity(), Order::At(0));
+    let pose = problem.add_parameter(Rigid3::identity(), EliminationOrder::At(0));
     let between = Between::new(Rigid3::identity(), &[1.0; 6]).unwrap();
     assert!(matches!(
         problem.add((pose, pose), between, Loss::Trivial),
         Err(Error::RepeatedVariable { first: 0, second: 1, .. })
     ));
     let mut other = Problem::new();
-    other.add_parameter(Rigid3::identity(), Order::At(0));
-    let foreign = other.add_parameter(Rigid3::identity(), Order::At(0));
+    other.add_parameter(Rigid3::identity(), EliminationOrder::At(0));
+    let foreign = other.add_parameter(Rigid3::identity(), EliminationOrder::At(0));
     assert!(matches!(
         problem.add((pose, foreign), between, Loss::Trivial),
         Err(Error::UnknownKey { position: 1, slot: 1, len: 1, .. })
@@ -326,7 +326,7 @@ fn a_cancelled_solve_can_be_resumed() {
 fn robust_losses_withstand_gross_errors() {
     let estimate_error = |loss: Loss| {
         let mut problem = Problem::new();
-        let x = problem.add_parameter(Vector2::new(0.3, -0.2), Order::Shared);
+        let x = problem.add_parameter(Vector2::new(0.3, -0.2), EliminationOrder::Last);
         for i in 0..40 {
             let wave = 0.1 * f64::from(i).sin();
             let gross = if i % 8 == 0 { 50.0 } else { 0.0 };

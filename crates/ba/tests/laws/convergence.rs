@@ -3,7 +3,9 @@
 use std::ops::ControlFlow;
 
 use tiepoint_ba::nalgebra::SVector;
-use tiepoint_ba::{AutoDiff, Loss, Options, Order, Problem, Residual, Scalar, Solver, Termination};
+use tiepoint_ba::{
+    AutoDiff, EliminationOrder, Loss, Options, Problem, Residual, Scalar, Solver, Termination,
+};
 
 /// x/√(1 + x²). Gauss-Newton goes from x to −x³, so from just below 1 a step hardly lowers the
 /// cost.
@@ -26,7 +28,7 @@ const MAX_ERROR: f64 = 1e-3;
 #[test]
 fn a_tiny_decrease_with_a_low_gain_ratio_does_not_end_the_solve() {
     let mut problem = Problem::new();
-    let x = problem.add_parameter(SVector::<f64, 1>::new(START), Order::Shared);
+    let x = problem.add_parameter(SVector::<f64, 1>::new(START), EliminationOrder::Last);
     problem.add(x, AutoDiff(Overshoots), Loss::Trivial).unwrap();
     let options = Options { initial_damping: NO_DAMPING, ..Options::default() };
     let mut first = None;

@@ -4,7 +4,7 @@
 use tiepoint_ba::factors::{Prior, Reprojection, RigReprojection};
 use tiepoint_ba::nalgebra::{DMatrix, Vector2, Vector3, Vector4};
 use tiepoint_ba::{
-    AnyKey, AutoDiff, Error, Key, LinearSolver, Loss, Order, Problem, Residual, Scalar,
+    AnyKey, AutoDiff, EliminationOrder, Error, Key, LinearSolver, Loss, Problem, Residual, Scalar,
 };
 use tiepoint_geometry::cameras::SimpleRadial;
 use tiepoint_geometry::{CameraModel, Rigid3, Rng};
@@ -27,7 +27,7 @@ impl Residual<1> for Line {
 #[test]
 fn line_fit_has_the_textbook_covariance() {
     let mut problem = Problem::new();
-    let line = problem.add_parameter(Vector2::zeros(), Order::Shared);
+    let line = problem.add_parameter(Vector2::zeros(), EliminationOrder::Last);
     let (n, mut sum, mut squares) = (10.0, 0.0, 0.0);
     for i in 0..10 {
         let x = f64::from(i);
@@ -51,13 +51,19 @@ fn line_fit_has_the_textbook_covariance() {
 fn without_elimination(scene: &Scene) -> (Problem, Vec<AnyKey>) {
     let mut twin = Problem::new();
     let (old, mut keys) = (&scene.problem, Vec::new());
-    let params = twin.add_parameter(old.get(scene.intrinsics[0]), Order::Shared);
+    let params = twin.add_parameter(old.get(scene.intrinsics[0]), EliminationOrder::Last);
     keys.push(params.into());
-    let poses: Vec<_> =
-        scene.poses.iter().map(|&key| twin.add_parameter(old.get(key), Order::At(0))).collect();
+    let poses: Vec<_> = scene
+        .poses
+        .iter()
+        .map(|&key| twin.add_parameter(old.get(key), EliminationOrder::At(0)))
+        .collect();
     keys.extend(poses.iter().map(|&key| AnyKey::from(key)));
-    let points: Vec<_> =
-        scene.points.iter().map(|&key| twin.add_parameter(old.get(key), Order::At(1))).collect();
+    let points: Vec<_> = scene
+        .points
+        .iter()
+        .map(|&key| twin.add_parameter(old.get(key), EliminationOrder::At(1)))
+        .collect();
     keys.extend(points.iter().map(|&key| AnyKey::from(key)));
     for &point in &points {
         for &pose in &poses {
@@ -114,8 +120,10 @@ fn without_a_fixed_gauge_it_is_an_error() {
         assert!(matches!(error, Error::Undetermined { .. }), "{error}");
     }
     let mut problem = Problem::new();
-    let (alone, known) =
-        (problem.add_parameter(1.0, Order::Shared), problem.add_parameter(2.0, Order::Shared));
+    let (alone, known) = (
+        problem.add_parameter(1.0, EliminationOrder::Last),
+        problem.add_parameter(2.0, EliminationOrder::Last),
+    );
     let point = problem.add_landmark(Vector3::zeros());
     problem.add(known, Prior::new(2.0, &[0.5]).unwrap(), Loss::Trivial).unwrap();
     assert!(matches!(
@@ -129,7 +137,7 @@ fn without_a_fixed_gauge_it_is_an_error() {
     assert!((problem.covariance(&[known.into()]).unwrap().matrix()[(0, 0)] - 0.25).abs() < 1e-12);
     let strange: Key<f64> = {
         let mut other = Problem::new();
-        (0..3).map(|_| other.add_parameter(0.0, Order::Shared)).last().unwrap()
+        (0..3).map(|_| other.add_parameter(0.0, EliminationOrder::Last)).last().unwrap()
     };
     assert!(matches!(
         problem.covariance(&[strange.into()]),
@@ -151,11 +159,11 @@ fn rig_covariance_matches_the_scatter_of_estimates() {
         let mut rng = Rng::stream(11, &[u64::from(run)]);
         let mut problem = Problem::new();
         let true_params = Vector4::from(PARAMS);
-        let params = problem.add_parameter(true_params, Order::Shared);
+        let params = problem.add_parameter(true_params, EliminationOrder::Last);
         problem.fix(params);
-        let first = problem.add_parameter(Rigid3::identity(), Order::Shared);
+        let first = problem.add_parameter(Rigid3::identity(), EliminationOrder::Last);
         problem.fix(first);
-        let second = problem.add_parameter(cam_from_rig, Order::Shared);
+        let second = problem.add_parameter(cam_from_rig, EliminationOrder::Last);
         let moments: Vec<_> = (0..4)
             .map(|i| {
                 Rigid3::from_axis_angle(
@@ -167,7 +175,7 @@ fn rig_covariance_matches_the_scatter_of_estimates() {
         let rigs: Vec<_> = moments
             .iter()
             .zip(0..)
-            .map(|(&pose, i)| problem.add_parameter(pose, Order::At(i)))
+            .map(|(&pose, i)| problem.add_parameter(pose, EliminationOrder::At(i)))
             .collect();
         problem.fix(rigs[0]);
         problem.fix_dofs(rigs[3], &[3]).unwrap();

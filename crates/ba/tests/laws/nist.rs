@@ -6,7 +6,7 @@
 use std::ops::ControlFlow;
 
 use tiepoint_ba::nalgebra::SVector;
-use tiepoint_ba::{AutoDiff, Loss, Options, Order, Problem, Residual, Scalar, Solver};
+use tiepoint_ba::{AutoDiff, EliminationOrder, Loss, Options, Problem, Residual, Scalar, Solver};
 
 /// Certified digits, and digits of a passed run, in Ceres' score.
 const CERTIFIED_DIGITS: f64 = 11.0;
@@ -81,8 +81,8 @@ fn digits<M: Model<N>, const N: usize>(text: &str, initial_damping: f64) -> [f64
     assert_eq!(data.certified.len(), N);
     std::array::from_fn(|start| {
         let mut problem = Problem::new();
-        let b =
-            problem.add_parameter(SVector::from_column_slice(&data.starts[start]), Order::Shared);
+        let b = problem
+            .add_parameter(SVector::from_column_slice(&data.starts[start]), EliminationOrder::Last);
         for row in &data.rows {
             let sample =
                 Sample::<M, N> { x: row[1..].to_vec(), y: row[0], model: std::marker::PhantomData };

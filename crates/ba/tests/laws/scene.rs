@@ -2,7 +2,7 @@
 
 use tiepoint_ba::factors::Reprojection;
 use tiepoint_ba::nalgebra::{Vector2, Vector3, Vector4};
-use tiepoint_ba::{Key, LinearSolver, Loss, Options, Order, Problem, Solver, Summary};
+use tiepoint_ba::{EliminationOrder, Key, LinearSolver, Loss, Options, Problem, Solver, Summary};
 use tiepoint_geometry::cameras::SimpleRadial;
 use tiepoint_geometry::{CameraModel, Rigid3, Rng};
 
@@ -64,7 +64,11 @@ impl Scene {
         let start = Vector4::from(PARAMS) + Vector4::new(5.0, 0.0, 0.0, 0.01);
         let intrinsics: Vec<_> = (0..num_intrinsics)
             .map(|i| {
-                let order = if num_intrinsics == 1 { Order::Shared } else { Order::At(i as u32) };
+                let order = if num_intrinsics == 1 {
+                    EliminationOrder::Last
+                } else {
+                    EliminationOrder::At(i as u32)
+                };
                 problem.add_parameter(start, order)
             })
             .collect();
@@ -78,7 +82,7 @@ impl Scene {
                 );
                 problem.add_parameter(
                     if i == 0 { *pose } else { perturbation * *pose },
-                    Order::At(i as u32),
+                    EliminationOrder::At(i as u32),
                 )
             })
             .collect();

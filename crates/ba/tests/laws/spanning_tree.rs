@@ -3,7 +3,7 @@
 
 use tiepoint_ba::factors::Reprojection;
 use tiepoint_ba::nalgebra::{Vector2, Vector3, Vector4};
-use tiepoint_ba::{Key, Loss, Order, Problem, SpanningTree};
+use tiepoint_ba::{EliminationOrder, Key, Loss, Problem, SpanningTree};
 use tiepoint_geometry::cameras::Pinhole;
 use tiepoint_geometry::{CameraModel, Rigid3, Rng, so3};
 
@@ -33,7 +33,7 @@ type Observation = (Key<Rigid3>, Key<Vector3<f64>>);
 fn bent_chain() -> (Problem, Vec<Observation>) {
     let mut rng = Rng::stream(3, &[]);
     let mut problem = Problem::new();
-    let intrinsics = problem.add_parameter(Vector4::from(INTRINSICS), Order::Shared);
+    let intrinsics = problem.add_parameter(Vector4::from(INTRINSICS), EliminationOrder::Last);
     problem.fix(intrinsics);
     let truth: Vec<Rigid3> = (0..FRAMES)
         .map(|i| {
@@ -48,8 +48,10 @@ fn bent_chain() -> (Problem, Vec<Observation>) {
         relative.translation *= SCALING.powi(i as i32);
         start.push(relative * start[i - 1]);
     }
-    let poses: Vec<_> =
-        (0u32..).zip(&start).map(|(i, pose)| problem.add_parameter(*pose, Order::At(i))).collect();
+    let poses: Vec<_> = (0u32..)
+        .zip(&start)
+        .map(|(i, pose)| problem.add_parameter(*pose, EliminationOrder::At(i)))
+        .collect();
     problem.fix(poses[0]);
     problem.fix_dofs(poses[FRAMES - 1], &[3]).unwrap();
     let mut observations = Vec::new();

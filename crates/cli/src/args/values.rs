@@ -7,7 +7,7 @@ use std::str::FromStr;
 use tiepoint_pipeline::eval::Alignment;
 use tiepoint_pipeline::sfm::geometry::CameraModelKind;
 use tiepoint_pipeline::sfm::geometry::nalgebra::Vector3;
-use tiepoint_pipeline::sfm::{BoundingBox, Readout, RefineIntrinsics, RigTerm};
+use tiepoint_pipeline::sfm::{BoundingBox, Readout, RefineIntrinsics, RigMode};
 use tiepoint_synth::RouteKind;
 
 /// Width and height, in pixels.
@@ -223,26 +223,10 @@ pub(super) fn route(name: &str) -> Result<RouteKind, String> {
     }
 }
 
-pub(super) fn rig_term(mode: &str) -> Result<RigTerm, String> {
-    match mode {
-        "off" => Ok(RigTerm::Off),
-        "paper" => Ok(RigTerm::Paper),
-        "soft" => Ok(RigTerm::Soft),
-        "hard" => Ok(RigTerm::Hard),
-        "auto" => Ok(RigTerm::Auto),
-        _ => Err("expected off, paper, soft, hard or auto".to_owned()),
-    }
-}
-
-/// The value of --rig on the command line.
-pub(crate) fn rig_name(term: RigTerm) -> &'static str {
-    match term {
-        RigTerm::Off => "off",
-        RigTerm::Paper => "paper",
-        RigTerm::Soft => "soft",
-        RigTerm::Hard => "hard",
-        RigTerm::Auto => "auto",
-    }
+pub(super) fn rig_mode(name: &str) -> Result<RigMode, String> {
+    // `hard` is a hidden alias.
+    let name = if name == "hard" { RigMode::Rigid.name() } else { name };
+    RigMode::from_name(name).ok_or_else(|| "expected off, paper, soft, rigid or auto".to_owned())
 }
 
 #[cfg(test)]

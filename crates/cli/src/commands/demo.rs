@@ -8,13 +8,13 @@ use std::time::Instant;
 use serde::Serialize;
 use tiepoint_pipeline::eval::Cloud;
 use tiepoint_pipeline::sfm::scene::Reconstruction;
-use tiepoint_pipeline::sfm::{MapperOptions, RigTerm};
+use tiepoint_pipeline::sfm::{MapperOptions, RigMode};
 use tiepoint_pipeline::{
     CameraError, FeatureOptions, MapOptions, MatchOptions, Options, PoseEvaluation,
     RegisteredCloud, Report, ReportModel, ReportSection, RigCamera, SurfaceEvaluation, Table,
     TableRow, Thumbnails, Workspace, reconstruct, refuse_foreign_page, report_html, write_page,
 };
-use tiepoint_synth::{Drive, DriveOptions, Mount, Mounting, RouteKind};
+use tiepoint_synth::{Drive, DriveOptions, Mount, RouteKind, ViewDirection};
 
 use super::drive_evaluation::{DriveEvaluation, evaluate_drive};
 use super::synth::{BASELINE_M, Plan, Rendered, render, scan};
@@ -155,16 +155,16 @@ fn reconstruct_drive(
         ..Options::default()
     };
     let mut runs = Vec::new();
-    for (rig, term) in [("off", RigTerm::Off), ("paper", RigTerm::Paper), ("auto", RigTerm::Auto)] {
-        let workspace = folder.join(rig);
+    for mode in [RigMode::Off, RigMode::Paper, RigMode::Auto] {
+        let workspace = folder.join(mode.name());
         if let Some(first) = runs.first().map(|run: &Run| &run.workspace) {
             // Reuses features and matches of the first run.
             Workspace::open(first)?.fork(&workspace)?;
         }
         let inputs = std::slice::from_ref(&plan.folder);
         let report =
-            reconstruct(inputs, &workspace, &options(term), &mut |event| progress.watch(event))?;
-        runs.push(evaluate(rig, workspace, report, &drive, &rendered, scan.as_ref())?);
+            reconstruct(inputs, &workspace, &options(mode), &mut |event| progress.watch(event))?;
+        runs.push(evaluate(mode.name(), workspace, report, &drive, &rendered, scan.as_ref())?);
     }
     let true_offset_s = true_offset_s(&drive);
     Ok(DriveOutcome { name: setting.name, plan, setting, drive: rendered, true_offset_s, runs })
@@ -179,7 +179,7 @@ fn plan(args: &Demo, setting: &Setting, folder: PathBuf) -> Result<Plan, Failure
         seed: args.seed,
         route: setting.route,
         length_m: setting.length_m,
-        mounts: Mount::stereo(Mounting::Front, BASELINE_M).to_vec(),
+        mounts: Mount::stereo(ViewDirection::Front, BASELINE_M).to_vec(),
         width: args.size.width,
         height: args.size.height,
         rate_hz: setting.rate_hz,

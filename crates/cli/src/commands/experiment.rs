@@ -21,15 +21,15 @@ mod tables;
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
-use tiepoint_pipeline::sfm::RigTerm;
+use tiepoint_pipeline::sfm::RigMode;
 use tiepoint_pipeline::{
     Report, ReportModel, ReportSection, Table, Thumbnails, Workspace, report_html,
 };
-use tiepoint_synth::{Drive, DriveOptions, Mount, Mounting, RouteKind};
+use tiepoint_synth::{Drive, DriveOptions, Mount, RouteKind, ViewDirection};
 
 use super::drive_evaluation::{camera_errors, read_drive_model};
 use super::synth::{BASELINE_M, Plan, claim};
-use crate::args::{Experiment, Scenery, rig_name};
+use crate::args::{Experiment, Scenery};
 use crate::failure::Failure;
 use crate::output::Output;
 use crate::progress::Progress;
@@ -43,11 +43,11 @@ const RECORD: &str = "experiment.json";
 /// Workspace with the true poses and intrinsics.
 const EXACT: &str = "true";
 /// Camera configurations of Table 3 of the paper, in its order.
-const MOUNTINGS: [(&str, Mounting); 4] = [
-    ("Front", Mounting::Front),
-    ("Right", Mounting::Right),
-    ("Rear", Mounting::Rear),
-    ("Left", Mounting::Left),
+const VIEW_DIRECTIONS: [(&str, ViewDirection); 4] = [
+    ("Front", ViewDirection::Front),
+    ("Right", ViewDirection::Right),
+    ("Rear", ViewDirection::Rear),
+    ("Left", ViewDirection::Left),
 ];
 
 #[derive(Serialize)]
@@ -56,7 +56,6 @@ struct Outcome {
     folder: PathBuf,
     /// HTML page with tables, clouds and trajectories.
     page: PathBuf,
-    #[serde(rename = "cells")]
     runs: Vec<Run>,
     #[serde(skip)]
     tables: Vec<Table>,
@@ -72,20 +71,20 @@ pub(crate) fn experiment(experiment: &Experiment, output: &Output) -> Result<(),
 }
 
 fn mounting(scenery: &Scenery, output: &Output) -> Result<Outcome, Failure> {
-    let plan = |folder: PathBuf, mounting| plan(scenery, folder, vec![Mount::of(mounting)]);
+    let plan = |folder: PathBuf, direction| plan(scenery, folder, vec![Mount::facing(direction)]);
     let folder = scenery.output.join("mounting");
-    begin(scenery, &folder, &plan(PathBuf::new(), Mounting::Front)?)?;
+    begin(scenery, &folder, &plan(PathBuf::new(), ViewDirection::Front)?)?;
     let mut progress = Progress::new(output);
     // Street and trajectory are the same for all runs, so they share the scan.
     let scan = Scan::new();
     let (mut runs, mut drives) = (Vec::new(), Vec::new());
-    for (name, mounting) in MOUNTINGS {
-        let own = folder.join(mounting.name());
-        let plan = plan(own.join("drive"), mounting)?;
+    for (name, direction) in VIEW_DIRECTIONS {
+        let own = folder.join(direction.name());
+        let plan = plan(own.join("drive"), direction)?;
         let drive = plan.drive()?;
         let task = Task {
             name,
-            rig: RigTerm::Off,
+            rig: RigMode::Off,
             workspace: own.join("off"),
             exact: own.join(EXACT),
             scenery,
@@ -93,31 +92,34 @@ fn mounting(scenery: &Scenery, output: &Output) -> Result<Outcome, Failure> {
             drive: &drive,
         };
         // A camera that looks to one side is compared on that side only.
-        let side = match mounting {
-            Mounting::Right => Side::right(&drive),
-            Mounting::Left => Side::left(&drive),
-            Mounting::Front | Mounting::FrontRight | Mounting::Rear => Side::both(),
+        let side = match direction {
+            ViewDirection::Right => Side::right(&drive),
+            ViewDirection::Left => Side::left(&drive),
+            ViewDirection::Front | ViewDirection::FrontRight | ViewDirection::Rear => Side::both(),
         };
         runs.push(task.run(&side, &scan, &mut progress)?);
         drives.push(drive);
     }
     drop(progress);
-    let tables = tables::of_mountings(&runs);
+    let tables = tables::view_directions(&runs);
     write_results("mounting", folder, runs, &drives.iter().collect::<Vec<_>>(), tables)
 }
 
-fn baseline(scenery: &Scenery, rigs: &[RigTerm], output: &Output) -> Result<Outcome, Failure> {
+fn baseline(scenery: &Scenery, rigs: &[RigMode], output: &Output) -> Result<Outcome, Failure> {
     let folder = scenery.output.join("baseline");
-    let plan =
-        plan(scenery, folder.join("drive"), Mount::stereo(Mounting::Right, BASELINE_M).to_vec())?;
+    let plan = plan(
+        scenery,
+        folder.join("drive"),
+        Mount::stereo(ViewDirection::Right, BASELINE_M).to_vec(),
+    )?;
     let drive = plan.drive()?;
     begin(scenery, &folder, &plan)?;
     let mut progress = Progress::new(output);
     let (mut runs, scan) = (Vec::new(), Scan::new());
     for (index, rig) in rigs.iter().enumerate().filter(|(index, rig)| !rigs[..*index].contains(rig))
     {
-        let workspace = folder.join(rig_name(*rig));
-        let first = folder.join(rig_name(rigs[0]));
+        let workspace = folder.join(rig.name());
+        let first = folder.join(rigs[0].name());
         if index > 0
             && first.join("stages.json").is_file()
             && !workspace.join("stages.json").is_file()

@@ -94,8 +94,8 @@ pub(crate) fn dense(args: &Dense, output: &Output) -> Result<(), Failure> {
     let options = DenseOptions {
         max_image_size: args.max_size,
         masks: args.masks.clone(),
-        has_normal_maps: args.normal_maps,
-        has_depth_pngs: args.depth_pngs,
+        write_normal_maps: args.normal_maps,
+        write_depth_pngs: args.depth_pngs,
         ..DenseOptions::default()
     };
     dense_workspace(&mut workspace, &options, redo, &mut |event| progress.watch(event))?;

@@ -93,7 +93,7 @@ impl Plan {
             seed: args.seed,
             route: args.route,
             length_m: args.length,
-            mounts: Mount::stereo(args.mounting, BASELINE_M).to_vec(),
+            mounts: Mount::stereo(args.view_direction, BASELINE_M).to_vec(),
             width: args.size.width,
             height: args.size.height,
             rate_hz: args.rate,

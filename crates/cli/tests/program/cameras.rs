@@ -1,4 +1,4 @@
-//! Cameras that are found: photos of several sizes, turns and lenses in one folder.
+//! Grouping of photos into cameras: photos of several sizes, turns and lenses in one folder.
 
 use std::fs;
 use std::path::Path;

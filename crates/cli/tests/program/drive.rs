@@ -26,7 +26,7 @@ const MAX_FOCAL_ERROR: f64 = 0.03;
 fn drive_has_images_times_and_ground_truth() {
     let dir = tempfile::tempdir().unwrap();
     let dir = dir.path();
-    let line = "synth -o {}/deep/drive --frames 3 --size 64x48 --mounting right --effects \
+    let line = "synth -o {}/deep/drive --frames 3 --size 64x48 --view-direction right --effects \
     photometry --scan --json";
     let run = tiepoint_in(dir, line).done();
     let (rendered, events) = (run.json(), run.events());
@@ -96,7 +96,7 @@ fn invalid_drive_options() {
         ("--size 1x1", ["width = 1", "2 to 20000"]),
         ("--rate 0", ["rate_hz = 0", "0.01 to 1000"]),
         ("--frames 0", ["--frames", "0"]),
-        ("--mounting under", ["under", "front-right"]),
+        ("--view-direction under", ["under", "front-right"]),
         ("--effects rain", ["rain", "rolling-shutter"]),
     ] {
         tiepoint_in(dir.path(), &format!("synth -o {{}}/drive {options}")).failed(2, &parts);

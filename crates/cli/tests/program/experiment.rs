@@ -23,26 +23,26 @@ fn two_cameras_with_and_without_a_constraint() {
     let dir = dir.path();
     let line = format!("experiment baseline -o {{}}/e {SMALL}");
     let outcome = tiepoint_in(dir, &format!("{line} --json")).done().json();
-    let cells = outcome["cells"].as_array().unwrap();
-    assert_eq!(cells.len(), 2);
-    for (cell, rig) in cells.iter().zip(["off", "soft"]) {
-        assert_eq!((&cell["rig"], &cell["images"]), (&rig.into(), &12.into()), "{cell}");
-        let result = &cell["result"];
+    let runs = outcome["runs"].as_array().unwrap();
+    assert_eq!(runs.len(), 2);
+    for (run, rig) in runs.iter().zip(["off", "soft"]) {
+        assert_eq!((&run["rig"], &run["images"]), (&rig.into(), &12.into()), "{run}");
+        let result = &run["result"];
         let number =
-            |what: &str| result[what].as_f64().unwrap_or_else(|| panic!("no {what} in {cell}"));
-        assert_eq!(cell["result"]["registered"], 12, "{cell}");
-        assert!(number("ate_m") < MAX_ATE_M, "{cell}");
+            |what: &str| result[what].as_f64().unwrap_or_else(|| panic!("no {what} in {run}"));
+        assert_eq!(run["result"]["registered"], 12, "{run}");
+        assert!(number("ate_m") < MAX_ATE_M, "{run}");
         // The parts make the whole.
         let whole = number("horizontal_m").hypot(number("vertical_m"));
-        assert!((whole - number("ate_m")).abs() < 1e-6 * whole, "{cell}");
+        assert!((whole - number("ate_m")).abs() < 1e-6 * whole, "{run}");
         for cloud in [&result["cloud"], &result["dense"]["distance"]] {
-            assert!(cloud["mean_m"].as_f64().unwrap() > 0.0, "{cell}");
+            assert!(cloud["mean_m"].as_f64().unwrap() > 0.0, "{run}");
         }
         let along = result["dense"]["along"].as_array().unwrap();
-        assert!((2..=6).contains(&along.len()), "{cell}");
+        assert!((2..=6).contains(&along.len()), "{run}");
         let exact = result["exact_dense"]["distance"]["mean_m"].as_f64().unwrap();
-        assert!(exact < MAX_EXACT_DISTANCE_M, "{cell}");
-        assert!(number("baseline_m") <= number("largest_baseline_m"), "{cell}");
+        assert!(exact < MAX_EXACT_DISTANCE_M, "{run}");
+        assert!(number("baseline_m") <= number("largest_baseline_m"), "{run}");
     }
     let page = fs::read_to_string(outcome["page"].as_str().unwrap()).unwrap();
     for part in ["Table 4", "Constrained (soft)", "truth_above"] {
@@ -57,14 +57,13 @@ fn two_cameras_with_and_without_a_constraint() {
     // layout.
     let text = tiepoint_in(dir, &line).done().stdout();
     assert_eq!(files.map(written), before);
-    let mean =
-        format!("{:.3}", cells[0]["result"]["dense"]["distance"]["mean_m"].as_f64().unwrap());
+    let mean = format!("{:.3}", runs[0]["result"]["dense"]["distance"]["mean_m"].as_f64().unwrap());
     for part in ["Mean absolute distance [m]", "Std deviation [m]", "Traditional (off)", &mean] {
         assert!(text.contains(part), "no {part} in {text}");
     }
     assert!(fs::read_to_string(dir.join("e/baseline/tables.md")).unwrap().contains("|---|"));
     // A missing evaluation uses the existing models; other options are rejected.
-    fs::remove_file(dir.join("e/baseline/soft/judged.json")).unwrap();
+    fs::remove_file(dir.join("e/baseline/soft/evaluation.json")).unwrap();
     let events = tiepoint_in(dir, &format!("{line} --json")).done().events();
     assert!(events.iter().all(|event| event["event"] == "stage_kept"), "{events:?}");
     tiepoint_in(dir, &line.replace("--frames 6", "--frames 7")).failed(1, &["other options", "-o"]);
@@ -78,12 +77,9 @@ fn unregistered_images_do_not_abort_an_experiment() {
         tiepoint_in(dir.path(), &format!("experiment baseline -o {{}}/e {SPARSE} --json"))
             .done()
             .json();
-    let cell = &outcome["cells"][0];
-    assert_eq!(cell["images"], 12, "{cell}");
-    assert!(
-        REGISTERED_OF_SPARSE.contains(&cell["result"]["registered"].as_u64().unwrap()),
-        "{cell}"
-    );
+    let run = &outcome["runs"][0];
+    assert_eq!(run["images"], 12, "{run}");
+    assert!(REGISTERED_OF_SPARSE.contains(&run["result"]["registered"].as_u64().unwrap()), "{run}");
 }
 
 #[test]

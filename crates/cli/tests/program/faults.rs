@@ -99,8 +99,8 @@ impl Command {
             Self::View => view(&ws).map(drop),
             Self::Dense => {
                 let options = DenseOptions {
-                    has_normal_maps: true,
-                    has_depth_pngs: true,
+                    write_normal_maps: true,
+                    write_depth_pngs: true,
                     ..DenseOptions::default()
                 };
                 dense(&mut Workspace::open(&ws)?, &options, redo, watch)

@@ -37,7 +37,7 @@ fn every_command_has_a_manual_page() {
 fn completions_of_every_shell_name_the_commands() {
     for shell in ["bash", "elvish", "fish", "powershell", "zsh"] {
         let script = tiepoint(["completions", shell]).done().stdout();
-        for word in ["reconstruct", "quantiles", "rolling-shutter", "mounting"] {
+        for word in ["reconstruct", "quantiles", "rolling-shutter", "view-direction"] {
             assert!(script.contains(word), "{shell}: no {word}");
         }
     }

@@ -128,7 +128,7 @@ fn the_database_has_the_rigs_of_the_model() {
     tiepoint_in(dir.path(), "map {}/ws --rig off --redo map").done();
     assert_eq!(rigs(), (vec![], vec![]));
     // Those of the scaled model.
-    tiepoint_in(dir.path(), "map {}/ws --rig hard --baseline 60cm --redo map").done();
+    tiepoint_in(dir.path(), "map {}/ws --rig rigid --baseline 60cm --redo map").done();
     let model = read_model(&dir.path().join("ws/sparse/0")).unwrap();
     let baseline_m = model.rigs[0].sensors[1].cam_from_rig.unwrap().origin_in_a().norm();
     assert!((baseline_m - 0.6).abs() < 1e-9, "{baseline_m}");
@@ -181,7 +181,7 @@ fn rigs_that_do_not_fit() {
     let usage = |options: &str, parts: &[&str]| {
         tiepoint_in(dir.path(), &format!("map {{}}/ws {options}")).failed(2, parts)
     };
-    usage("--rig-calibration x --rig hard", &["--rig-calibration", "--rig"]);
+    usage("--rig-calibration x --rig rigid", &["--rig-calibration", "--rig"]);
     usage("--rig-calibration x --baseline 1m", &["--baseline"]);
     usage("--refine extrinsics", &["--rig-calibration", "give both"]);
     tiepoint_in(dir.path(), "map {}/ws --rig-calibration {}/no.json").failed(1, &["no.json"]);
@@ -193,12 +193,13 @@ fn frames_need_names_or_times() {
     let photos = dir.path().join("photos");
     write_photos(&photos);
     for index in 0..FRAMES {
-        let [from, to] = ["", "r"].map(|prefix| photos.join(format!("right/{prefix}{index}.png")));
-        fs::rename(from, to).unwrap();
+        // Other numbers than those of the left camera.
+        let name = |shift: usize| photos.join(format!("right/{}.png", index + shift));
+        fs::rename(name(0), name(100)).unwrap();
     }
     fs::write(dir.path().join("rig.json"), rig_config()).unwrap();
     let times: Vec<String> = (0..FRAMES)
-        .flat_map(|i| [format!("left/{i}.png,{i}.5\n"), format!("right/r{i}.png,{i}.501\n")])
+        .flat_map(|i| [format!("left/{i}.png,{i}.5\n"), format!("right/{}.png,{i}.501\n", i + 100)])
         .collect();
     fs::write(dir.path().join("t.csv"), format!("image,seconds\n{}", times.concat())).unwrap();
     let line = "reconstruct {}/photos -o {}/ws --rig-calibration {}/rig.json";

@@ -306,7 +306,7 @@ fn audio_offset_synchronises_frames() {
     let run =
         tiepoint_in(dir.path(), "features {}/left.mov {}/right.mov -o {}/ws --every 1 --json")
             .done();
-    let heard = run.events().into_iter().find(|event| event["event"] == "sound_heard").unwrap();
+    let heard = run.events().into_iter().find(|event| event["event"] == "audio_offset").unwrap();
     assert_eq!((&heard["reference"], &heard["recording"]), (&"left".into(), &"right".into()));
     assert!((heard["after_s"].as_f64().unwrap() - LATER_S).abs() < SOUND_TOLERANCE_S, "{heard}");
     let times = times(&dir.path().join("ws"));
@@ -363,7 +363,7 @@ fn file_names_are_not_interpreted_by_ffmpeg() {
     ]);
     let run = Run(command.current_dir(dir.path()).output().unwrap()).done();
     let heard: Vec<_> =
-        run.events().into_iter().filter(|event| event["event"] == "sound_heard").collect();
+        run.events().into_iter().filter(|event| event["event"] == "audio_offset").collect();
     let recordings: Vec<&str> =
         heard.iter().map(|heard| heard["recording"].as_str().unwrap()).collect();
     assert_eq!(recordings, ["-x", "a_b"], "their sound is read too");

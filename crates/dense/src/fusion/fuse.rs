@@ -9,10 +9,11 @@ use super::options::FusionOptions;
 /// Most neighbours of an image: the supporting images of a point are the bits of a word.
 pub const MAX_NEIGHBOURS: usize = 31;
 
-/// A surface is in the cloud if the pixel that gave its point has at most so many times the area of
-/// this one on it: then points of images at all distances are at most twice as many as those of the
-/// nearest, since each set has half of the next one or less. With 1, a point of each image in turn
-/// stands beside the others (2.5 times the points in a made scene).
+/// A pixel gives no point if an earlier image has a point on its surface, and the pixel of that
+/// point covers at most this many times the area that this pixel covers. With 2, images at all
+/// distances give together at most twice the points of the nearest image: each coarser image that
+/// gives points has at most half as many pixels on the surface as the next finer one (1 + 1/2 +
+/// 1/4 + …). With 1, images at nearly equal distances all give points (`docs/benchmarks/dense.md`).
 const MAX_COVERED_AREA: f64 = 2.0;
 
 /// A point of the fused cloud.
@@ -90,19 +91,19 @@ fn last_uses(neighbours: &[Vec<usize>]) -> Vec<usize> {
 /// A pixel whose surface is in the cloud: with a new point, or without if an earlier image gave it.
 struct Pixel {
     x: u32,
-    point: Option<Box<Draft>>,
+    point: Option<Box<PointCandidate>>,
 }
 
 /// A point whose images are bits: the reference first, then its neighbours.
-struct Draft {
+struct PointCandidate {
     xyz: [f32; 3],
     normal: [f32; 3],
     color: [u8; 3],
     views: u32,
 }
 
-fn named(draft: Draft, index: usize, others: &[usize]) -> FusedPoint {
-    let Draft { xyz, normal, color, views } = draft;
+fn named(draft: PointCandidate, index: usize, others: &[usize]) -> FusedPoint {
+    let PointCandidate { xyz, normal, color, views } = draft;
     let all = std::iter::once(&index).chain(others).enumerate();
     let seen = all.filter(|(bit, _)| views & 1 << bit != 0);
     let mut views: Vec<u32> = seen.map(|(_, image)| *image as u32).collect();
@@ -145,7 +146,7 @@ fn fuse_pixel(
     let xyz = reference.world_point(&own, depth / f64::from(count));
     let length = normal.norm();
     let normal = if length > 0.0 { normal / length } else { own.normal };
-    let point = Draft {
+    let point = PointCandidate {
         xyz: [xyz.x as f32, xyz.y as f32, xyz.z as f32],
         normal: [normal.x as f32, normal.y as f32, normal.z as f32],
         color: color.map(|sum| ((sum + count / 2) / count) as u8),

@@ -4,15 +4,14 @@ pub struct FusionOptions {
     /// Smallest number of images that agree on a point, the reference included.
     pub min_views: usize,
     /// Largest distance between a pixel and the reprojection of the surface that another image
-    /// sees there, in pixels. COLMAP's default is 2. With 2 and with 0.5, F1 at two footprints
-    /// changes by at most 0.1 % on two made scenes.
+    /// sees there, in pixels. COLMAP's default is 2. Half and twice of it change F1 by at most
+    /// 0.1 % (`docs/benchmarks/dense.md`).
     pub max_error_px: f64,
     /// Largest difference of two depths, relative; COLMAP's default.
     pub max_depth_error: f64,
     /// Largest angle between two normals, in radians. The default is three times COLMAP's: normals
-    /// are those of a few pixels of a depth map, and noisier than estimated ones. With half and
-    /// twice of it, F1 at two footprints is 86.9 and 87.5 % instead of 88.0 %, 84.4 and 84.2 %
-    /// instead of 84.3 %.
+    /// are those of a few pixels of a depth map, and noisier than estimated ones. Half of it lowers
+    /// F1 by up to 1.1 %, twice of it by up to 0.5 %.
     pub max_normal_error_rad: f64,
     /// Images in memory at a time.
     pub max_images_in_memory: usize,

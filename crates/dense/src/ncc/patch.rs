@@ -3,22 +3,16 @@
 use super::constants::{LANES, MIDDLE, MIN_VARIANCE, SAMPLES, UNITS};
 use crate::Grey;
 
-/// The pixels within √10 of the centre but for the five in the middle: 7 pixels wide, and the 32
-/// samples fill the lanes. Like all constants of this crate, chosen on two made scenes: the room of
-/// `bench/dense_scene.py` with seed 11 and a street of `tiepoint synth` with seed 12, with true
-/// poses. F1 at two footprints is 88.0 % in the room and 84.3 % on the street, 81.7 and 69.5 % with
-/// noise of four grey levels. With every second pixel within √17, 9 pixels wide, it is 86.5 and
-/// 83.6, 81.4 and 69.9 %.
+/// The pixels within √10 of the centre except the five in the middle: 7 pixels wide, and the 32
+/// samples fill the lanes. Like all constants of this crate, chosen on two synthetic scenes that
+/// are not benchmarked; `docs/benchmarks/dense.md` has the accuracy with other values.
 const OFFSETS: [[i32; 2]; SAMPLES] = offsets();
 /// Standard deviation of the bilateral weights in space, in pixels: the radius of the patch, as in
-/// Schönberger 2016. With half and twice of it, F1 at two footprints is 88.3 and 87.9 % in the
-/// room, 84.5 and 84.3 % on the street.
+/// Schönberger 2016. Half and twice of it change F1 by at most 0.3 %.
 const SPATIAL_SIGMA: f64 = 3.0;
 /// Standard deviation of the bilateral weights in grey levels: a quarter of that of Schönberger
-/// 2016, so that pixels of another surface count less. With half, twice, and four times of it, F1
-/// at two footprints is 89.3, 85.5 and 84.3 % in the room instead of 88.0 %, 84.4, 84.1 and 83.8 %
-/// on the street instead of 84.3 %; with noise of four grey levels, 81.9, 79.5 and 78.5 % instead
-/// of 81.7 %, and 68.4, 69.1 and 68.8 % instead of 69.5 %.
+/// 2016, so that pixels of another surface count less. Half of it raises F1 by 1.3 % in a room and
+/// lowers it by 1.1 % on a noisy street; twice of it lowers F1 by up to 2.5 %.
 const GREY_SIGMA: f64 = 0.05 * 255.0;
 /// Largest offset.
 pub(crate) const RADIUS: usize = 3;

@@ -7,12 +7,11 @@ use super::filter::filter;
 use super::maps::{DepthMap, PlaneMap};
 use super::seeds::{InverseDepthRange, Seed};
 use super::sweep::{SweepOptions, sweep};
-use super::view::{MAX_SOURCES, View};
+use super::view::{MAX_SOURCES, StereoImage};
 use crate::plane::Rays;
 
-/// The one sweep on the half level with the geometric term, without far candidates: with them, F1
-/// at two footprints is higher by 0.1 %. With two sweeps, as in Xu & Tao 2019, it is higher by
-/// at most 0.1 %.
+/// First change of depth of the one sweep on the half level with the geometric term, in pixels. Far
+/// candidates, or a second sweep as in Xu & Tao 2019, raise F1 by at most 0.1 %.
 const GEOMETRIC_CHANGE_PX: f32 = 0.5;
 const GEOMETRIC_CHANGE_NORMAL: f32 = 0.25;
 /// The one sweep on the full level.
@@ -23,7 +22,7 @@ const FULL_CHANGE_NORMAL: f32 = 0.125;
 #[derive(Clone, Debug)]
 pub struct FineSource<'a> {
     /// The image.
-    pub view: &'a View,
+    pub view: &'a StereoImage,
     /// Its planes, of [`estimate_coarse`](super::estimate_coarse).
     pub planes: PlaneMap,
 }
@@ -42,7 +41,7 @@ pub struct FineEstimate {
 ///
 /// `None` without a seed or a source.
 pub fn estimate_fine(
-    reference: &View,
+    reference: &StereoImage,
     sources: Vec<FineSource>,
     seeds: &[Seed],
     coarse: &PlaneMap,
@@ -54,7 +53,7 @@ pub fn estimate_fine(
     }
     let half = reference.halved();
     let sources: Vec<FineSource> = sources.into_iter().take(MAX_SOURCES).collect();
-    let views: Vec<&View> = sources.iter().map(|source| source.view).collect();
+    let views: Vec<&StereoImage> = sources.iter().map(|source| source.view).collect();
     let geometric = |FineSource { view, planes }: FineSource| {
         LevelSource::new(&half, &view.halved(), Some(planes))
     };

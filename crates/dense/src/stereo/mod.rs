@@ -24,4 +24,4 @@ pub use fine::{FineEstimate, FineSource, estimate_fine};
 pub use maps::{DepthMap, PlaneMap};
 pub use normals::normals_of;
 pub use seeds::{InverseDepthRange, Seed};
-pub use view::{MAX_SOURCES, View};
+pub use view::{MAX_SOURCES, StereoImage};

@@ -1,9 +1,8 @@
 //! Points of the sparse model in an image, and the range of depths around them.
 
 /// How many times nearer than the nearest seed a surface may be: a road below the camera has few
-/// keypoints, since its image changes from frame to frame. With 2, 4 and 8, F1 at two footprints
-/// is 81.1, 84.3 and 85.2 % on a street (seed 12, true poses), 88.1, 88.0 and 87.9 % in a room; 8
-/// takes up to a seventh more time.
+/// keypoints, since its image changes from frame to frame. Half of it lowers F1 on a street by
+/// 3.2 %; twice of it raises it by 0.9 % and takes up to a seventh more time.
 const NEARER: f32 = 4.0;
 
 /// A point of the sparse model in an image.
@@ -18,9 +17,9 @@ pub struct Seed {
 /// Range of the depths of an image, as inverse depths.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct InverseDepthRange {
-    /// Of the farthest surface.
+    /// Inverse depth of the farthest surface.
     pub min: f32,
-    /// Of the nearest surface.
+    /// Inverse depth of the nearest surface.
     pub max: f32,
 }
 

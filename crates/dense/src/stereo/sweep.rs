@@ -26,7 +26,7 @@ const FAR_DISTANCES: [isize; 11] = [3, 5, 7, 9, 11, 13, 15, 17, 19, 21, 23];
 /// rounded to 1/64 pixel.
 const SAME_PX: f32 = 1.0 / 64.0;
 
-/// What a sweep does.
+/// Options of a sweep.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct SweepOptions {
     /// Seed of the random numbers.

@@ -8,14 +8,14 @@ pub const MAX_SOURCES: usize = 8;
 
 /// An image with its camera.
 #[derive(Clone, Debug)]
-pub struct View {
+pub struct StereoImage {
     /// The camera.
     pub camera: PosedPinhole,
     /// The image, of the size of the camera.
     pub grey: Grey,
 }
 
-impl View {
+impl StereoImage {
     pub(crate) fn halved(&self) -> Self {
         Self { camera: self.camera.halved(), grey: self.grey.halved() }
     }

@@ -2,12 +2,12 @@
 
 use tiepoint_dense::fusion::{FusedPoint, FusionImage, FusionOptions, fuse};
 use tiepoint_dense::stereo::{
-    DepthMap, FineSource, PlaneMap, View, estimate_coarse, estimate_fine,
+    DepthMap, FineSource, PlaneMap, StereoImage, estimate_coarse, estimate_fine,
 };
 use tiepoint_dense::{Grey, PosedPinhole, StereoProblem, select_views};
 use tiepoint_geometry::nalgebra::{Vector2, Vector3};
 use tiepoint_scene::{Image, ImageId, Keypoint, Observation, Reconstruction, Track};
-use tiepoint_synth::{Drive, DriveOptions, Mount, Mounting, RouteKind, SurfacePoint};
+use tiepoint_synth::{Drive, DriveOptions, Mount, RouteKind, SurfacePoint, ViewDirection};
 
 /// Number of pixels between two seeds of an image, along each axis: as sparse as a sparse model.
 const SEED_STEP: usize = 24;
@@ -16,18 +16,18 @@ const SEED_STEP: usize = 24;
 struct Scene {
     drive: Drive,
     model: Reconstruction,
-    views: Vec<View>,
+    views: Vec<StereoImage>,
     colors: Vec<Vec<u8>>,
     /// Camera and time of each image.
     exposures: Vec<(usize, f64)>,
 }
 
 impl Scene {
-    fn new(width: u32, height: u32, frames: usize, mounting: Mounting) -> Self {
+    fn new(width: u32, height: u32, frames: usize, direction: ViewDirection) -> Self {
         let options = DriveOptions {
             route: RouteKind::Open,
             length_m: 60.0,
-            mounts: Mount::stereo(mounting, 0.5).to_vec(),
+            mounts: Mount::stereo(direction, 0.5).to_vec(),
             width,
             height,
             rate_hz: 4.0,
@@ -45,7 +45,7 @@ impl Scene {
                 let camera = truth.camera(truth.image(ImageId::from_index(views.len())).camera);
                 let camera = PosedPinhole::new(camera, &pose).unwrap();
                 let grey = Grey::from_rgb(camera.width, camera.height, &rgb);
-                views.push(View { camera, grey });
+                views.push(StereoImage { camera, grey });
                 colors.push(rgb);
                 exposures.push((index, exposure.time_s));
             }
@@ -128,7 +128,7 @@ impl Scene {
 
 /// Depth maps of all images.
 fn depth_maps(scene: &Scene, problems: &[StereoProblem]) -> Vec<DepthMap> {
-    let sources = |problem: &StereoProblem| -> Vec<&View> {
+    let sources = |problem: &StereoProblem| -> Vec<&StereoImage> {
         problem.sources.iter().map(|image| &scene.views[image.index()]).collect()
     };
     let coarse: Vec<PlaneMap> = problems
@@ -203,7 +203,7 @@ fn quality(scene: &Scene, depths: &[DepthMap]) -> Quality {
 
 #[test]
 fn depth_maps_and_cloud_are_accurate_and_complete() {
-    let scene = Scene::new(320, 240, 4, Mounting::Right);
+    let scene = Scene::new(320, 240, 4, ViewDirection::Right);
     let problems = scene.problems();
     let depths = depth_maps(&scene, &problems);
     let Quality { found, within } = quality(&scene, &depths);

@@ -21,7 +21,7 @@ fn similar(positions: &[f64], count: usize) -> Vec<Vec<Similar>> {
     (0..).zip(positions).map(of_image).collect()
 }
 
-fn camera(images: std::ops::Range<u32>, first_s: f64, order: Order) -> CameraImages {
+fn camera(images: std::ops::Range<u32>, first_s: f64, order: SequenceOrder) -> CameraImages {
     let times_s = images.clone().map(|image| first_s + f64::from(image - images.start)).collect();
     let sequence = Sequence::with_times(images.collect(), times_s).unwrap();
     CameraImages { sequence, order }
@@ -35,21 +35,24 @@ fn choose(cameras: &[CameraImages], positions: &[f64]) -> AutoPairs {
 fn a_sequence_has_its_neighbours_and_its_loops() {
     // The second half is the same street again.
     let positions: Vec<f64> = (0..IMAGES).map(|k| f64::from(k % (IMAGES / 2))).collect();
-    for order in [Order::Times, Order::Numbers] {
+    for order in [SequenceOrder::Times, SequenceOrder::Numbers] {
         let chosen = choose(&[camera(0..IMAGES, 0.0, order)], &positions);
         assert_eq!(chosen.is_sequence, [true]);
         for (a, b) in chosen.pairs.iter().filter(|(a, _)| (50..150).contains(a)) {
             let (gap, place) = (b - a, (b - a).min((b - a).abs_diff(IMAGES / 2)));
-            assert!(gap <= REACH || place <= 2 * REACH, "{a} {b}");
+            assert!(gap <= AutoPairs::OVERLAP || place <= 2 * AutoPairs::OVERLAP, "{a} {b}");
         }
-        for a in REACH..IMAGES - REACH {
+        for a in AutoPairs::OVERLAP..IMAGES - AutoPairs::OVERLAP {
             let has = |b: u32| chosen.pairs.binary_search(&(a.min(b), a.max(b))).is_ok();
-            assert!((1..=REACH).all(|gap| has(a + gap) && has(a - gap)));
+            assert!((1..=AutoPairs::OVERLAP).all(|gap| has(a + gap) && has(a - gap)));
             let again = (a + IMAGES / 2) % IMAGES;
             assert!(has(again), "{a} sees the place of {again}");
         }
         // Each image has its neighbours and its loops, and a pair is of two images.
-        assert!(chosen.pairs.len() <= IMAGES as usize * (REACH as usize + LOOPS));
+        assert!(
+            chosen.pairs.len()
+                <= IMAGES as usize * (AutoPairs::OVERLAP as usize + AutoPairs::NUM_LOOP_IMAGES)
+        );
     }
 }
 
@@ -58,14 +61,16 @@ fn numbers_in_random_order_are_no_sequence() {
     let mut places: Vec<u32> = (0..IMAGES).collect();
     stream(3, 0).shuffle(&mut places);
     let positions: Vec<f64> = places.iter().map(|&place| f64::from(place)).collect();
-    let chosen = choose(&[camera(0..IMAGES, 0.0, Order::Numbers)], &positions);
+    let chosen = choose(&[camera(0..IMAGES, 0.0, SequenceOrder::Numbers)], &positions);
     assert_eq!(chosen.is_sequence, [false]);
-    let unknown =
-        CameraImages { sequence: Sequence::new((0..IMAGES).collect()), order: Order::Unknown };
+    let unknown = CameraImages {
+        sequence: Sequence::new((0..IMAGES).collect()),
+        order: SequenceOrder::Unknown,
+    };
     assert_eq!(choose(&[unknown], &positions), chosen);
     for a in 0..IMAGES {
         let of_image = chosen.pairs.iter().filter(|(i, j)| *i == a || *j == a).count();
-        assert!(of_image >= SIMILAR, "{a}: {of_image}");
+        assert!(of_image >= AutoPairs::NUM_SIMILAR_IMAGES, "{a}: {of_image}");
     }
 }
 
@@ -79,21 +84,21 @@ fn parallel_cameras_share_neighbours_and_others_do_not() {
         found.pairs.iter().filter(|(a, b)| *a < half && *b == a + half).count() == half as usize
     };
     let at = |first_s: f64, order| {
-        [camera(0..half, 0.0, Order::Times), camera(half..IMAGES, first_s, order)]
+        [camera(0..half, 0.0, SequenceOrder::Times), camera(half..IMAGES, first_s, order)]
     };
-    assert!(has_simultaneous_pairs(&at(0.4, Order::Times), &there_and_there));
-    assert!(!has_simultaneous_pairs(&at(0.4, Order::Times), &elsewhere));
+    assert!(has_simultaneous_pairs(&at(0.4, SequenceOrder::Times), &there_and_there));
+    assert!(!has_simultaneous_pairs(&at(0.4, SequenceOrder::Times), &elsewhere));
     // Never on at the same time: their pairs are loops.
-    let apart = at(1e6, Order::Times);
+    let apart = at(1e6, SequenceOrder::Times);
     assert_eq!(positions(&apart[0], &apart[1]), vec![None; half as usize]);
     assert!(!follows(&apart[0], &apart[1], &similar(&there_and_there, num_similar(&apart))));
-    let kinds = at(0.0, Order::Numbers);
+    let kinds = at(0.0, SequenceOrder::Numbers);
     assert!(!follows(&kinds[0], &kinds[1], &similar(&there_and_there, num_similar(&kinds))));
 }
 
 #[test]
 fn few_or_no_images() {
     assert_eq!(auto_pairs(&[], &[]), AutoPairs::default());
-    let one = camera(0..1, 0.0, Order::Times);
+    let one = camera(0..1, 0.0, SequenceOrder::Times);
     assert_eq!(auto_pairs(&[one], &[Vec::new()]).pairs, []);
 }

@@ -1,7 +1,7 @@
 use super::*;
 
-fn sequential(reach: u32) -> PairSelection {
-    PairSelection::Sequential { reach, ends: Ends::Open, loops: 0 }
+fn sequential(overlap: u32) -> PairSelection {
+    PairSelection::Sequential { overlap, is_closed: false, loops: 0 }
 }
 
 #[test]
@@ -61,19 +61,19 @@ fn sequential_within_one_camera() {
 
 #[test]
 fn sequential_across_cameras_by_position() {
-    let (frames, reach) = (7, 2);
+    let (frames, overlap) = (7, 2);
     // Camera k has the images 10k..10k+7.
     let cameras: Vec<Sequence> =
         (0..3).map(|k| Sequence::new((10 * k..10 * k + frames).collect())).collect();
     let mut expected = Vec::new();
     for a in 0..30u32 {
         for b in a + 1..30 {
-            if a % 10 < frames && b % 10 < frames && (a % 10).abs_diff(b % 10) <= reach {
+            if a % 10 < frames && b % 10 < frames && (a % 10).abs_diff(b % 10) <= overlap {
                 expected.push((a, b));
             }
         }
     }
-    assert_eq!(sequential(reach).pairs(&cameras), expected);
+    assert_eq!(sequential(overlap).pairs(&cameras), expected);
 }
 
 #[test]
@@ -111,7 +111,7 @@ fn position_nearest_in_time() {
 
 #[test]
 fn closed_ends_are_matched() {
-    let selection = PairSelection::Sequential { reach: 2, ends: Ends::Closed, loops: 0 };
+    let selection = PairSelection::Sequential { overlap: 2, is_closed: true, loops: 0 };
     let cameras = [Sequence::new((0..10).collect()), Sequence::new((10..20).collect())];
     let mut expected = sequential(2).pairs(&cameras);
     for first in [0, 1, 10, 11] {
@@ -121,7 +121,7 @@ fn closed_ends_are_matched() {
     }
     expected.sort_unstable();
     assert_eq!(selection.pairs(&cameras), expected);
-    // Sequences shorter than the reach, and empty ones.
+    // Sequences shorter than the overlap, and empty ones.
     let short = [Sequence::new(vec![0, 1]), Sequence::default()];
     assert_eq!(selection.pairs(&short), [(0, 1)]);
 }

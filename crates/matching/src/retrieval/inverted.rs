@@ -99,17 +99,17 @@ fn hamming(a: Signature, b: Signature) -> usize {
 /// The inverted index: for each visual word, the images that have it.
 #[derive(Clone, Debug)]
 pub struct InvertedIndex {
-    /// Of each word: index of its first entry; and the number of entries.
+    /// For each word: index of its first entry; and the number of entries.
     starts: Vec<u32>,
-    /// Of each entry: image, in ascending order in a word.
+    /// For each entry: image, in ascending order in a word.
     images: Vec<u32>,
     signatures: Vec<Signature>,
-    /// Of each word: its inverse document frequency.
+    /// For each word: its inverse document frequency.
     weights: Vec<u64>,
-    /// Of each image: index of its first entry in `words`; and the number of all.
+    /// For each image: index of its first entry in `words`; and the number of all.
     image_starts: Vec<u32>,
     words: Vec<u32>,
-    /// Of each image: the reciprocal square root of its similarity to itself; 0 without words.
+    /// For each image: the reciprocal square root of its similarity to itself; 0 without words.
     inverse_norms: Vec<f64>,
     selectivity: [u64; BITS as usize + 1],
 }

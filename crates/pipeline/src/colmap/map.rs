@@ -15,7 +15,7 @@ use tiepoint_sfm::{
     transfer_model,
 };
 
-use super::output::{ModelFolders, put};
+use super::output::{ModelFolders, write_model_with_project};
 use super::scene::{ids_of, read_graph, read_scene};
 use crate::colors::color_points;
 use crate::mapping::translate;
@@ -33,13 +33,13 @@ pub struct MapDatabaseOptions {
     /// Most models that are written.
     pub max_models: usize,
     /// Whether points get colours.
-    pub has_colors: bool,
+    pub extract_colors: bool,
     /// Whether the extrinsics of the rigs of the database are refined.
-    pub refines_rigs: bool,
+    pub refine_extrinsics: bool,
     /// The model to go on from; the result is then one model, in the output folder itself.
     pub input: Option<PathBuf>,
     /// Whether its poses are constant.
-    pub has_constant_poses: bool,
+    pub constant_poses: bool,
     /// Text of the file `project.ini` beside each model.
     pub project: Option<String>,
 }
@@ -100,22 +100,22 @@ pub fn map(
         model.reconstruction.original_ids = ids_of(&database);
     }
     drop(database);
-    if let (Some(images), true) = (images, options.has_colors) {
+    if let (Some(images), true) = (images, options.extract_colors) {
         let colored =
             ImageFolder::as_stored(images, None).map_err(Error::from).and_then(|folder| {
                 color_points(&folder, models.iter_mut().map(|model| &mut model.reconstruction))
             });
         if let Err(error) = colored {
-            emit(watch, &Event::PointsGrey { why: &error.to_string() })?;
+            emit(watch, &Event::ColorsMissing { why: &error.to_string() })?;
         }
     }
     let (reconstructions, project) =
         (models.iter().map(|model| &model.reconstruction), options.project.as_deref());
     match folders {
         Some(folders) => folders.write(reconstructions.clone(), Format::Binary, project)?,
-        None => reconstructions
-            .clone()
-            .try_for_each(|model| put(output, model, Format::Binary, project))?,
+        None => reconstructions.clone().try_for_each(|model| {
+            write_model_with_project(output, model, Format::Binary, project)
+        })?,
     }
     let written = reconstructions.enumerate().map(|(index, model)| MappedFolder {
         path: folder(index),
@@ -146,14 +146,14 @@ fn run(
         translate(event, &name).map_or(ControlFlow::Continue(()), |event| watch(&event))
     };
     let Some(path) = &options.input else {
-        return Ok(match known_rigs(database, options.refines_rigs)? {
+        return Ok(match known_rigs(database, options.refine_extrinsics)? {
             None => sfm::map(graph, scene, &mut descriptors, mapper, &mut notified)?,
             Some(rigs) => {
                 sfm::map_with_rigs(graph, scene, &rigs, &mut descriptors, mapper, &mut notified)?
             }
         });
     };
-    let existing = Existing { model: scene, has_constant_poses: options.has_constant_poses };
+    let existing = Existing { model: scene, constant_poses: options.constant_poses };
     let graph = &for_scene(graph, scene);
     sfm::extend(graph, &existing, &mut descriptors, mapper, &mut notified)
         .map_err(|cause| Error::InputModel { path: path.clone(), cause })
@@ -176,7 +176,7 @@ pub(super) fn for_scene(
 }
 
 /// The rigs of a database if all their extrinsics are known.
-fn known_rigs(database: &Database, are_refined: bool) -> Result<Option<KnownRigs>, Error> {
+fn known_rigs(database: &Database, refine_extrinsics: bool) -> Result<Option<KnownRigs>, Error> {
     let (rigs, frames) = database.read_rigs()?;
     let is_known = rigs
         .iter()
@@ -187,5 +187,5 @@ fn known_rigs(database: &Database, are_refined: bool) -> Result<Option<KnownRigs
     }
     let frames = frames.into_iter();
     let frames = frames.map(|frame| KnownFrame { rig: frame.rig, images: frame.images }).collect();
-    Ok(Some(KnownRigs { rigs, frames, are_refined }))
+    Ok(Some(KnownRigs { rigs, frames, refine_extrinsics }))
 }

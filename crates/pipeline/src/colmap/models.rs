@@ -28,9 +28,9 @@ pub struct AdjustModelOptions {
     /// Intrinsics that are refined.
     pub refine: RefineIntrinsics,
     /// Whether poses are constant.
-    pub has_constant_poses: bool,
+    pub constant_poses: bool,
     /// Whether the extrinsics of rigs are constant.
-    pub has_constant_rigs: bool,
+    pub constant_rigs: bool,
     /// Maximum number of iterations.
     pub max_iterations: usize,
     /// Relative decrease of the cost below which the adjustment ends; `None` for the own default.
@@ -56,8 +56,8 @@ pub fn adjust(
         loss: Loss::Trivial,
         principal_point_sigma: NO_PRIOR,
         distortion_sigma: NO_PRIOR,
-        constant_poses: options.has_constant_poses.then_some(&posed),
-        has_constant_rigs: options.has_constant_rigs || options.has_constant_poses,
+        constant_poses: options.constant_poses.then_some(&posed),
+        constant_rigs: options.constant_rigs || options.constant_poses,
         max_iterations: options.max_iterations,
         function_tolerance: options.function_tolerance.unwrap_or(defaults.function_tolerance),
         ..defaults
@@ -72,7 +72,7 @@ pub fn adjust(
     Ok(report)
 }
 
-/// What a model is aligned to.
+/// Target of an alignment.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum AlignedTo<'a> {
     /// The plane of the points: it becomes z = 0, with the cameras on the positive side.

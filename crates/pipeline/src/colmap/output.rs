@@ -19,11 +19,11 @@ pub(super) const PROJECT: &str = "project.ini";
 ///
 /// The folder is a workspace, or writing fails.
 pub fn write_model(to: &Path, model: &Reconstruction, format: Format) -> Result<(), Error> {
-    put(to, model, format, None)
+    write_model_with_project(to, model, format, None)
 }
 
 /// Writes a model, and the options that it was made with as a `project.ini`.
-pub(super) fn put(
+pub(super) fn write_model_with_project(
     to: &Path,
     model: &Reconstruction,
     format: Format,
@@ -90,7 +90,7 @@ impl ModelFolders {
                 let own = OutputFolder::open(&path)?;
                 let mut ours = Vec::new();
                 for name in &names {
-                    if own.is_as_left(name)? {
+                    if own.is_unmodified(name)? {
                         ours.push(format!("{index}/{name}"));
                     }
                 }

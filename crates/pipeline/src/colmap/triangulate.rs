@@ -40,7 +40,7 @@ pub struct TriangulateOptions {
     /// Fewest verified matches of a pair.
     pub min_matches: usize,
     /// Whether points get colours.
-    pub has_colors: bool,
+    pub extract_colors: bool,
 }
 
 /// Triangulates the points of a model from the matches of a database. Poses are constant. Writes
@@ -75,7 +75,7 @@ pub fn triangulate(
     let adjust = AdjustOptions {
         refine: options.refine,
         constant_poses: Some(&posed),
-        has_constant_rigs: true,
+        constant_rigs: true,
         ..AdjustOptions::default()
     };
     for _ in 0..ROUNDS {
@@ -97,12 +97,12 @@ pub fn triangulate(
             break;
         }
     }
-    if let (Some(images), true) = (images, options.has_colors) {
+    if let (Some(images), true) = (images, options.extract_colors) {
         let folder = ImageFolder::as_stored(images, None).map_err(Error::from);
         if let Err(error) =
             folder.and_then(|folder| color_points(&folder, [&mut model].into_iter()))
         {
-            emit(watch, &Event::PointsGrey { why: &error.to_string() })?;
+            emit(watch, &Event::ColorsMissing { why: &error.to_string() })?;
         }
     }
     write(&model, output)

@@ -122,6 +122,12 @@ impl SharpestOfStretch {
         selected
     }
 
+    /// Ends a stretch that is not complete without a selection.
+    fn discard(&mut self) {
+        self.seen = 0;
+        self.best = None;
+    }
+
     /// Notes a frame that the next one follows.
     fn pass(&mut self, frame: &Candidate) {
         self.previous = Some(Previous {
@@ -205,7 +211,11 @@ impl FrameSelector {
         let (last_s, next_s) =
             (self.target_times_s[..self.next].last(), self.target_times_s.get(self.next));
         if next_s.is_some_and(|next_s| frame.time_s >= next_s - self.reach_s) {
-            selected.extend(self.end_of_others());
+            // Frames between two targets or before the first are their own stretch if they fill one.
+            match self.others.is_next(&frame) {
+                true => selected.extend(self.end_of_others()),
+                false => self.others.discard(),
+            }
             self.others.pass(&frame);
             self.nearest = Some(frame);
         } else if last_s.is_some_and(|last_s| frame.time_s <= last_s + self.reach_s) {

@@ -1,4 +1,4 @@
-//! How data stand in `report.html`: as base64 text, and samples of what is too much.
+//! Encoding of data in `report.html`: base64 text, and even samples of long lists.
 
 /// RFC 4648, with padding.
 pub(super) fn base64(bytes: &[u8]) -> String {

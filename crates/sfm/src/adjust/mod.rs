@@ -3,11 +3,11 @@
 mod gauge;
 mod intrinsics;
 mod options;
+mod portrait_landscape;
 mod problem;
 mod rigid_frames;
 mod solve;
 mod term;
-mod turned;
 mod variables;
 
 pub use gauge::fix_gauge;

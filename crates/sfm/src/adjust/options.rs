@@ -47,9 +47,9 @@ impl RefineIntrinsics {
 pub struct AdjustOptions<'a> {
     /// Intrinsics to refine.
     pub refine: RefineIntrinsics,
-    /// Whether only a grid-based selection of the points takes part: the longest tracks,
-    /// distributed over every image.
-    pub selects_points: bool,
+    /// Whether to adjust a grid-based selection of the tracks only: the longest ones, distributed
+    /// over every image.
+    pub select_tracks: bool,
     /// Loss on the weighted residuals.
     pub loss: Loss,
     /// Standard deviation of the principal point's prior, relative to the larger side of the image.
@@ -67,7 +67,7 @@ pub struct AdjustOptions<'a> {
     /// Images whose poses are constant, in every scope.
     pub constant_poses: Option<&'a BTreeSet<ImageId>>,
     /// Whether the extrinsics of the model's rigs are constant. Then they determine the scale.
-    pub has_constant_rigs: bool,
+    pub constant_rigs: bool,
     /// Maximum number of iterations.
     pub max_iterations: usize,
     /// Relative decrease of the cost below which the adjustment ends.
@@ -78,7 +78,7 @@ impl Default for AdjustOptions<'_> {
     fn default() -> Self {
         Self {
             refine: RefineIntrinsics::FOCAL_AND_DISTORTION,
-            selects_points: false,
+            select_tracks: false,
             loss: Loss::SoftL1(4.0),
             principal_point_sigma: 0.01,
             distortion_sigma: 0.2,
@@ -86,7 +86,7 @@ impl Default for AdjustOptions<'_> {
             focal_priors: &[],
             gauge: None,
             constant_poses: None,
-            has_constant_rigs: false,
+            constant_rigs: false,
             max_iterations: 50,
             function_tolerance: 1e-6,
         }
@@ -102,8 +102,9 @@ const MIN_NOISE: f64 = 0.05;
 
 impl AdjustOptions<'_> {
     /// Whether the pose of an image is variable in a scope.
-    pub(super) fn moves(&self, scope: &Scope, image: ImageId) -> bool {
-        scope.moves(image) && !self.constant_poses.is_some_and(|images| images.contains(&image))
+    pub(super) fn is_variable(&self, scope: &Scope, image: ImageId) -> bool {
+        scope.is_variable(image)
+            && !self.constant_poses.is_some_and(|images| images.contains(&image))
     }
 
     /// Sets priors and loss for the noise scale of a finished model ([`AdjustOptions::noise`]). The
@@ -134,7 +135,7 @@ pub enum Scope<'a> {
 
 impl Scope<'_> {
     /// Whether the image's pose is variable.
-    pub fn moves(&self, image: ImageId) -> bool {
+    pub fn is_variable(&self, image: ImageId) -> bool {
         match self {
             Self::Global => true,
             Self::Local(images) => images.contains(&image),

@@ -8,7 +8,7 @@
 use std::collections::BTreeSet;
 
 use tiepoint_ba::factors::{Reprojection, RigReprojection, ShiftedReprojection};
-use tiepoint_ba::{Key, Order, Problem, SpanningTree};
+use tiepoint_ba::{EliminationOrder, Key, Problem, SpanningTree};
 use tiepoint_geometry::nalgebra::{Vector1, Vector3};
 use tiepoint_geometry::{CameraModel, Loss, Rigid3, with_camera_model};
 use tiepoint_scene::{CameraId, ImageId, Keypoint, Reconstruction};
@@ -16,8 +16,8 @@ use tiepoint_scene::{CameraId, ImageId, Keypoint, Reconstruction};
 use super::gauge::fix_gauge;
 use super::intrinsics::{fixed_columns, intrinsics_prior};
 use super::options::{AdjustOptions, RefineIntrinsics, Scope};
+use super::portrait_landscape::{CameraKey, add_portrait_landscape};
 use super::term::{Shifted, Term, TermContext};
-use super::turned::{CameraKey, add_turned};
 use super::variables::{Composed, Variables};
 use crate::Error;
 use crate::noise::keypoint_sigma_px;
@@ -66,7 +66,7 @@ pub(crate) fn build(
     for (camera, _) in model.cameras() {
         keys.extend(add_camera(&mut variables, &context, options, terms, &observations, camera)?);
     }
-    add_turned(variables.problem_mut(), model, &keys)?;
+    add_portrait_landscape(variables.problem_mut(), model, &keys)?;
     Ok(variables)
 }
 
@@ -80,8 +80,8 @@ fn add_points(
     let mut observations = vec![Vec::new(); model.images().count()];
     let mut points = scope.points(model);
     points.retain(|point| model.track(*point).is_some_and(|track| !track.is_held_out));
-    if options.selects_points {
-        points = select_points(model, points, |image| scope.moves(image));
+    if options.select_tracks {
+        points = select_points(model, points, |image| scope.is_variable(image));
     }
     for point in points {
         let Some(track) = model.track(point) else { continue };
@@ -104,8 +104,8 @@ fn add_poses(
 ) {
     for (order, &image) in posed.iter().enumerate().filter(|(_, image)| !composed.contains(image)) {
         let Some(pose) = context.model.image(image).cam_from_world() else { continue };
-        let key = variables.problem_mut().add_parameter(*pose, Order::At(order as u32));
-        if !options.moves(context.scope, image) {
+        let key = variables.problem_mut().add_parameter(*pose, EliminationOrder::At(order as u32));
+        if !options.is_variable(context.scope, image) {
             variables.problem_mut().fix(key);
         }
         variables.poses.push((image, key));
@@ -118,12 +118,12 @@ fn fix_problem_gauge(
     context: &TermContext,
     options: &AdjustOptions,
 ) -> Result<(), Error> {
-    let is_fixed = |image: ImageId| !options.moves(context.scope, image);
+    let is_fixed = |image: ImageId| !options.is_variable(context.scope, image);
     let of_images = variables.poses.iter().map(|(image, key)| (*key, is_fixed(*image)));
     let (keys, fixed): (Vec<Key<Rigid3>>, Vec<bool>) =
         of_images.chain(variables.rig_poses.iter().copied()).unzip();
     let index_of = |wanted| variables.poses.iter().position(|(image, _)| *image == wanted);
-    if options.has_constant_rigs && variables.have_baseline() {
+    if options.constant_rigs && variables.have_baseline() {
         // The rigs determine the scale.
         if !fixed.contains(&true)
             && let Some(first) = keys.first()
@@ -194,7 +194,7 @@ fn add_camera(
     // images.
     let mut all = model.registered().filter(|(_, image, _)| image.camera == camera);
     let is_known = model.calibrated.contains(&camera);
-    let refine = if !is_known && all.all(|(id, ..)| context.scope.moves(id)) {
+    let refine = if !is_known && all.all(|(id, ..)| context.scope.is_variable(id)) {
         options.refine
     } else {
         RefineIntrinsics::NONE
@@ -204,7 +204,7 @@ fn add_camera(
         let kind = camera_of_images.intrinsics.kind();
         let columns = fixed_columns(kind, refine);
         let problem = variables.problem_mut();
-        let key = problem.add_parameter(*params, Order::Shared);
+        let key = problem.add_parameter(*params, EliminationOrder::Last);
         if columns.len() == kind.num_params() {
             problem.fix(key);
         } else {

@@ -9,7 +9,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use tiepoint_ba::{Key, Order, Problem};
+use tiepoint_ba::{EliminationOrder, Key, Problem};
 use tiepoint_geometry::Rigid3;
 use tiepoint_scene::{CameraId, Frame, ImageId, Reconstruction, Rig};
 
@@ -27,12 +27,12 @@ pub(super) struct RigidFrames {
     composed: BTreeMap<ImageId, u32>,
     cam_from_rig: BTreeMap<(usize, usize), Key<Rigid3>>,
     /// Whether all `cam_from_rig` are constant.
-    has_constant_rigs: bool,
+    constant_rigs: bool,
     rig_from_world: Vec<Option<Key<Rigid3>>>,
 }
 
 impl RigidFrames {
-    pub(super) fn new(model: &Reconstruction, has_constant_rigs: bool) -> Self {
+    pub(super) fn new(model: &Reconstruction, constant_rigs: bool) -> Self {
         let images = model.frames.iter().flat_map(|frame| &frame.images);
         Self {
             rigs: model.rigs.clone(),
@@ -40,7 +40,7 @@ impl RigidFrames {
             cameras: images.map(|image| (*image, model.image(*image).camera)).collect(),
             composed: BTreeMap::new(),
             cam_from_rig: BTreeMap::new(),
-            has_constant_rigs,
+            constant_rigs,
             rig_from_world: vec![None; model.frames.len()],
         }
     }
@@ -125,7 +125,7 @@ impl Term for RigidFrames {
     /// Adds `rig_from_world` of each frame without an observed reference image, and `cam_from_rig`
     /// of each other sensor, and composes the poses of the images.
     fn add(&mut self, context: &TermContext, variables: &mut Variables) -> Result<(), Error> {
-        let is_constant = self.has_constant_rigs || matches!(context.scope, Scope::Local(_));
+        let is_constant = self.constant_rigs || matches!(context.scope, Scope::Local(_));
         let pose_keys: BTreeMap<ImageId, Key<Rigid3>> = variables.poses().iter().copied().collect();
         let undetermined = self.undetermined(|image| {
             pose_keys.contains_key(&image) || self.composed.contains_key(&image)
@@ -140,11 +140,12 @@ impl Term for RigidFrames {
             let rig_from_world = match (reference, composed_images_of_frame().next()) {
                 (Some(image), _) => pose_keys[image],
                 (None, Some(first)) => {
-                    let key = variables
-                        .problem_mut()
-                        .add_parameter(frame.rig_from_world, Order::At(self.composed[first]));
+                    let key = variables.problem_mut().add_parameter(
+                        frame.rig_from_world,
+                        EliminationOrder::At(self.composed[first]),
+                    );
                     let is_fixed =
-                        !composed_images_of_frame().any(|image| context.scope.moves(*image));
+                        !composed_images_of_frame().any(|image| context.scope.is_variable(*image));
                     if is_fixed {
                         variables.problem_mut().fix(key);
                     }
@@ -158,7 +159,8 @@ impl Term for RigidFrames {
                 let Some((sensor, pose)) = self.sensor_of(frame, image) else { continue };
                 let key =
                     *self.cam_from_rig.entry((frame.rig.index(), sensor)).or_insert_with(|| {
-                        let key = variables.problem_mut().add_parameter(pose, Order::Shared);
+                        let key =
+                            variables.problem_mut().add_parameter(pose, EliminationOrder::Last);
                         if is_constant || undetermined.contains(&(frame.rig.index(), sensor)) {
                             variables.problem_mut().fix(key);
                         }

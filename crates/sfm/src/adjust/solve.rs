@@ -6,10 +6,10 @@ use tiepoint_geometry::nalgebra::Vector3;
 use tiepoint_scene::{PointId, Reconstruction};
 
 use super::options::{AdjustOptions, Scope};
+use super::portrait_landscape::copy_to_unused;
 use super::problem::build;
 use super::rigid_frames::RigidFrames;
 use super::term::Term;
-use super::turned::copy_to_unused;
 use crate::Error;
 use crate::tracks::triangulate_observations;
 
@@ -32,7 +32,7 @@ pub fn adjust(
     watch: &mut dyn FnMut(&IterationRecord) -> ControlFlow<()>,
 ) -> Result<Summary, Error> {
     let mut frames =
-        (!model.frames.is_empty()).then(|| RigidFrames::new(model, options.has_constant_rigs));
+        (!model.frames.is_empty()).then(|| RigidFrames::new(model, options.constant_rigs));
     let frames_term = frames.as_mut().map(|frames| frames as &mut dyn Term);
     let mut terms: Vec<&mut dyn Term> =
         terms.iter_mut().map(|term| &mut **term as &mut dyn Term).collect();

@@ -9,7 +9,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use rayon::prelude::*;
 use tiepoint_ba::factors::{Between, Relative};
-use tiepoint_ba::{Factor, Key, Options, Order, Problem, Solver};
+use tiepoint_ba::{EliminationOrder, Factor, Key, Options, Problem, Solver};
 use tiepoint_geometry::nalgebra::{Vector2, Vector3};
 use tiepoint_geometry::numeric::median;
 use tiepoint_geometry::{Loss, RansacOptions, Rigid3, Sim3, estimate};
@@ -163,7 +163,11 @@ pub(crate) fn distribute_drift(
     let mut keys: BTreeMap<ImageId, Key<Sim3>> = BTreeMap::new();
     let mut key = |problem: &mut Problem, id: ImageId| {
         let pose = before.get(&id)?;
-        Some(*keys.entry(id).or_insert_with(|| problem.add_parameter(*pose, Order::At(id.0))))
+        Some(
+            *keys
+                .entry(id)
+                .or_insert_with(|| problem.add_parameter(*pose, EliminationOrder::At(id.0))),
+        )
     };
     for (pair, b_from_a) in covisibility.pairs().filter_map(current_relative).chain(loop_edges) {
         let keys = (key(&mut problem, pair.a), key(&mut problem, pair.b));

@@ -23,7 +23,7 @@ pub struct Existing<'a> {
     pub model: &'a Reconstruction,
     /// Whether the poses of its registered images are constant. Then no stage after growth but the
     /// refinement runs.
-    pub has_constant_poses: bool,
+    pub constant_poses: bool,
 }
 
 /// Registers further images onto a model. Its tracks are completed by the correspondences of the
@@ -57,7 +57,7 @@ pub fn extend(
     }
     let mut mapper = Mapper::new(graph, &start, options);
     mapper.focal_priors = &input.focal_priors;
-    mapper.constant_poses = existing.has_constant_poses.then_some(&registered);
+    mapper.constant_poses = existing.constant_poses.then_some(&registered);
     mapper.existing_poses = &poses;
     update_tracks(graph, &mut mapper.solution.model, &options.tracks);
     filter_all_points(&mut mapper.solution.model, &options.filter);
@@ -155,15 +155,15 @@ mod tests {
             start.register(id, *pose);
         }
         let options = MapperOptions { refine: RefineIntrinsics::NONE, ..MapperOptions::default() };
-        for has_constant_poses in [true, false] {
-            let existing = Existing { model: &start, has_constant_poses };
+        for constant_poses in [true, false] {
+            let existing = Existing { model: &start, constant_poses };
             let watch = &mut |_: &_| ControlFlow::Continue(());
             let found = extend(&graph, &existing, &mut |_| Vec::new(), &options, watch).unwrap();
             let found = &found[0].reconstruction;
             assert_eq!(found.num_registered(), truth.num_registered());
             for (id, _, pose) in truth.registered() {
                 let there = found.image(id).cam_from_world().unwrap();
-                if has_constant_poses && id.index() < KNOWN {
+                if constant_poses && id.index() < KNOWN {
                     assert_eq!(there, pose, "a constant pose keeps its bits");
                 }
                 // In metres; the keypoints have noise.
@@ -175,7 +175,7 @@ mod tests {
         for (id, _, pose) in truth.registered() {
             truth_without_points.register(id, *pose);
         }
-        let existing = Existing { model: &truth_without_points, has_constant_poses: true };
+        let existing = Existing { model: &truth_without_points, constant_poses: true };
         let watch = &mut |_: &_| ControlFlow::Continue(());
         let found = extend(&graph, &existing, &mut |_| Vec::new(), &options, watch).unwrap();
         assert!(found[0].reconstruction.num_tracks() > 100);

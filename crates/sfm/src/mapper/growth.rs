@@ -16,7 +16,7 @@ use crate::adjust::{AdjustOptions, RefineIntrinsics, Scope, Term, adjust, keep_g
 use crate::event::{Event, Watch, notify};
 use crate::known_rigs::{KnownFrames, KnownRigs};
 use crate::noise::relative_noise;
-use crate::options::{MapperOptions, RigTerm};
+use crate::options::{MapperOptions, RigMode};
 use crate::register::NextBestView;
 use crate::rigs::{BaselineLink, BaselineTerm, RigPairs, growing_links};
 use crate::tracks::{
@@ -272,12 +272,12 @@ impl<'a> Mapper<'a> {
         }
         let options = AdjustOptions {
             refine,
-            selects_points: schedule.selects_points,
+            select_tracks: schedule.select_tracks,
             loss: self.options.loss,
             focal_priors: self.focal_priors,
             constant_poses: self.constant_poses,
-            gauge: self.initial.filter(|_| self.options.rig == RigTerm::Paper),
-            has_constant_rigs: self.known_rigs.is_some_and(|known| !known.are_refined),
+            gauge: self.initial.filter(|_| self.options.rig == RigMode::Paper),
+            constant_rigs: self.known_rigs.is_some_and(|known| !known.refine_extrinsics),
             max_iterations: schedule.max_iterations,
             function_tolerance: schedule.tolerance,
             ..AdjustOptions::default()

@@ -13,15 +13,15 @@ use crate::Error;
 use crate::event::{Event, OptionalStage, Watch, notify};
 use crate::known_rigs::KnownRigs;
 use crate::mapped_model::MappedModel;
-use crate::options::{MapperOptions, RigTerm};
+use crate::options::{MapperOptions, RigMode};
 use crate::rigs::{CalibratedRig, Descriptors, merge_by_motion, rig_pairs};
 use crate::rolling_shutter::row_poses;
 use crate::two_view::{FocalPrior, estimate_focal_lengths, focal_priors};
 
 /// Maps all images. Each connected component gives a model; the model with the most images comes
 /// first. `scene` gives cameras and images with keypoints; its poses and points are ignored.
-/// `descriptors` is used for guided matching with [`RigTerm::Soft`], [`RigTerm::Hard`] and
-/// [`RigTerm::Auto`]. If it returns nothing, no images are matched again.
+/// `descriptors` is used for guided matching with [`RigMode::Soft`], [`RigMode::Rigid`] and
+/// [`RigMode::Auto`]. If it returns nothing, no images are matched again.
 ///
 /// # Errors
 ///
@@ -52,7 +52,7 @@ pub fn map_with_rigs(
     options: &MapperOptions,
     watch: &mut dyn FnMut(&Event) -> ControlFlow<()>,
 ) -> Result<Vec<MappedModel>, Error> {
-    let options = &MapperOptions { rig: RigTerm::Off, ..*options };
+    let options = &MapperOptions { rig: RigMode::Off, ..*options };
     map_all(graph, scene, Some(rigs), descriptors, options, watch)
 }
 
@@ -70,13 +70,13 @@ fn map_all(
     let input = Prepared { known_rigs: rigs, ..prepared(graph, scene, options) };
     let mut models = map_rest(graph, &input, Vec::new(), descriptors, options, watch)?;
     models.sort_by_key(|model| std::cmp::Reverse(model.reconstruction.num_registered()));
-    if matches!(options.rig, RigTerm::Soft | RigTerm::Hard | RigTerm::Auto) {
+    if matches!(options.rig, RigMode::Soft | RigMode::Rigid | RigMode::Auto) {
         merge_rig_models(graph, &input.focal_priors, options, &mut models, descriptors, watch)?;
     }
     Ok(models)
 }
 
-/// What the mapper starts from.
+/// Input of the mapper.
 pub(super) struct Prepared<'a> {
     /// The scene without poses and points, with initial focal lengths.
     pub(super) scene: Reconstruction,
@@ -113,7 +113,7 @@ pub(super) fn map_rest(
     watch: &mut Watch,
 ) -> Result<Vec<MappedModel>, Error> {
     let pairs_of_rig = match options.rig {
-        RigTerm::Paper => rig_pairs(&input.scene),
+        RigMode::Paper => rig_pairs(&input.scene),
         _ => Vec::new(),
     };
     let registered = |model: &MappedModel| -> Vec<ImageId> {

@@ -123,7 +123,7 @@ impl Mapper<'_> {
     /// Scales a model with refined extrinsics so that the root mean square distance of the cameras
     /// from their reference camera is the known one: bundle adjustment leaves the scale open.
     fn restore_scale(&mut self) {
-        let Some(known) = self.known_rigs.filter(|known| known.are_refined) else { return };
+        let Some(known) = self.known_rigs.filter(|known| known.refine_extrinsics) else { return };
         let model = &mut self.solution.model;
         let squared = |rigs: &[Rig]| -> f64 {
             let sensors = rigs.iter().flat_map(|rig| rig.sensors.iter().skip(1));

@@ -8,7 +8,7 @@ use super::solution::Solution;
 use crate::Error;
 use crate::event::{Event, Failure, OptionalStage, Watch, notify};
 use crate::mapped_model::MappedModel;
-use crate::options::RigTerm;
+use crate::options::RigMode;
 use crate::rigs::{Context, Descriptors, constrain_rig, final_links};
 use crate::rolling_shutter::{RollingShutters, row_poses};
 
@@ -88,8 +88,8 @@ impl Mapper<'_> {
         self.solution.shutters =
             self.options.readout.map(|readout| RollingShutters::new(&self.solution.model, readout));
         let mut failures = Vec::new();
-        let has_constant_poses = self.constant_poses.is_some();
-        let stages = STAGES.into_iter().filter(|stage| !has_constant_poses || !stage.moves_poses());
+        let constant_poses = self.constant_poses.is_some();
+        let stages = STAGES.into_iter().filter(|stage| !constant_poses || !stage.moves_poses());
         for stage in stages {
             let Some(optional) = stage.optional() else {
                 self.run_stage(stage, descriptors, watch)?;
@@ -141,12 +141,12 @@ impl Mapper<'_> {
             }
             Stage::Rig => match self.options.rig {
                 _ if self.known_rigs.is_some() => self.finish_known_rigs(),
-                RigTerm::Off => Ok(()),
-                RigTerm::Paper => {
+                RigMode::Off => Ok(()),
+                RigMode::Paper => {
                     let links = final_links(&self.solution.model, self.rig_pairs);
                     self.adjust_globally(&links, &RefinementSchedule::FINAL, watch).map(|_| ())
                 }
-                RigTerm::Soft | RigTerm::Hard | RigTerm::Auto => self.constrain_rig(descriptors),
+                RigMode::Soft | RigMode::Rigid | RigMode::Auto => self.constrain_rig(descriptors),
             },
         }
     }

@@ -10,7 +10,7 @@
 use std::collections::BTreeMap;
 
 use rayon::prelude::*;
-use tiepoint_ba::{Factor, Linear, Options, Order, Problem, Refs, Solver};
+use tiepoint_ba::{EliminationOrder, Factor, Linear, Options, Problem, Refs, Solver};
 use tiepoint_geometry::nalgebra::{Matrix2x3, Matrix3, SMatrix, Vector2, Vector3};
 use tiepoint_geometry::numeric::median;
 use tiepoint_geometry::{CameraModel, Intrinsics, Loss, Rigid3, Sim3, so3, with_camera_model};
@@ -250,7 +250,7 @@ pub fn align_models(
 fn refine(images: &[CommonImage], start: &Sim3, max_error_px: f64) -> Result<Sim3, Error> {
     let inverse = start.inverse();
     let mut problem = Problem::new();
-    let key = problem.add_parameter(*start, Order::Shared);
+    let key = problem.add_parameter(*start, EliminationOrder::Last);
     for image in images {
         for o in &image.observations {
             if image.squared_error([start, &inverse], o) >= max_error_px * max_error_px {

@@ -54,20 +54,22 @@ pub fn register_image(
     seed: u64,
 ) -> Option<usize> {
     let placement =
-        estimate_placement(graph, model, &View::Image(image), options, seed, &|_| true)?;
+        estimate_placement(graph, model, &RegistrationUnit::Image(image), options, seed, &|_| {
+            true
+        })?;
     placement.apply(model);
     Some(placement.inliers.len())
 }
 
-/// What is registered at once.
-pub(crate) enum View<'a> {
+/// An image, or a frame of a known rig whose images are registered together.
+pub(crate) enum RegistrationUnit<'a> {
     /// An image.
     Image(ImageId),
     /// The images of a frame of a rig of the model.
     Frame(&'a KnownFrame),
 }
 
-impl View<'_> {
+impl RegistrationUnit<'_> {
     /// The images.
     fn images(&self) -> &[ImageId] {
         match self {
@@ -175,7 +177,7 @@ impl Placement {
 pub(crate) fn estimate_placement(
     graph: &CorrespondenceGraph,
     model: &Reconstruction,
-    view: &View,
+    view: &RegistrationUnit,
     options: &RegisterOptions,
     seed: u64,
     is_plausible: &dyn Fn(&Rigid3) -> bool,
@@ -215,8 +217,8 @@ pub(crate) fn estimate_placement(
         let placement = Placement {
             poses,
             frame: match view {
-                View::Image(_) => None,
-                View::Frame(frame) => Some(Frame {
+                RegistrationUnit::Image(_) => None,
+                RegistrationUnit::Frame(frame) => Some(Frame {
                     rig: frame.rig,
                     rig_from_world: report.model,
                     images: frame.images.clone(),

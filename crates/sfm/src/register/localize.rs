@@ -4,7 +4,7 @@ use tiepoint_geometry::nalgebra::{Vector2, Vector3};
 use tiepoint_geometry::{Intrinsics, Loss, RansacOptions, Rigid3, estimate};
 use tiepoint_scene::{CorrespondenceGraph, ImageId, Observation, PointId, Reconstruction};
 
-use super::absolute_pose::{RegisterOptions, View, candidates, estimate_placement};
+use super::absolute_pose::{RegisterOptions, RegistrationUnit, candidates, estimate_placement};
 
 /// Scale of the Cauchy loss of the refinement, in pixels: 95 % efficiency for keypoints with a
 /// standard deviation of a pixel (Holland and Welsch 1977).
@@ -61,8 +61,14 @@ pub fn localize_image(
         };
         let Some(intrinsics) = intrinsics else { continue };
         model.camera_mut(own).intrinsics = intrinsics;
-        let placement =
-            estimate_placement(graph, model, &View::Image(image), options, seed, &|_| true);
+        let placement = estimate_placement(
+            graph,
+            model,
+            &RegistrationUnit::Image(image),
+            options,
+            seed,
+            &|_| true,
+        );
         let Some(placement) = placement else { continue };
         let count = placement.inliers.len();
         if best.is_none_or(|(most, _)| count > most) {

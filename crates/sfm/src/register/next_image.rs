@@ -13,7 +13,7 @@ use tiepoint_geometry::numeric::median;
 use tiepoint_geometry::{Rigid3, Rng};
 use tiepoint_scene::{CorrespondenceGraph, ImageId, Reconstruction};
 
-use super::absolute_pose::{Placement, RegisterOptions, View, estimate_placement};
+use super::absolute_pose::{Placement, RegisterOptions, RegistrationUnit, estimate_placement};
 use super::continuity::Timelines;
 use super::visibility::{Visibility, visibility};
 use crate::known_rigs::KnownFrames;
@@ -199,7 +199,10 @@ impl NextBestView {
         let is_plausible = |pose: &Rigid3| {
             speed.is_none_or(|speed| !self.timelines.contradicts_motion(model, image, pose, speed))
         };
-        let view = self.frames.frame_of(model, image).map_or(View::Image(image), View::Frame);
+        let view = self
+            .frames
+            .frame_of(model, image)
+            .map_or(RegistrationUnit::Image(image), RegistrationUnit::Frame);
         let placement = estimate_placement(graph, model, &view, options, seed, &is_plausible);
         if placement.is_none() {
             *self.trials.entry(image).or_insert(0) += 1;

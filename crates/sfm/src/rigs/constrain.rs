@@ -1,5 +1,5 @@
 //! Estimation of the rig extrinsics from a finished model, and the choice of the constraint: `--rig
-//! soft`, `hard` and `auto`.
+//! soft`, `rigid` and `auto`.
 //!
 //! 1. The model is adjusted without a rig constraint. The motion of the cameras gives initial clock
 //!    offsets ([`crate::sensor_pairs`]).
@@ -39,7 +39,7 @@ use super::sigma_selection::{ConstrainedModel, SigmaSelection};
 use super::solution::{CalibratedCamera, CalibratedRig, SplitRepair};
 use crate::Error;
 use crate::adjust::AdjustOptions;
-use crate::options::RigTerm;
+use crate::options::RigMode;
 use crate::tracks::hold_out_tracks;
 
 /// Fraction of the tracks that are held out until the last refinement.
@@ -52,7 +52,7 @@ const RIGID_TOLERANCE: f64 = 0.01;
 /// Maximum standard deviation of an estimated offset. Above it lens biases dominate the estimate.
 const MAX_CLOCK_SD_S: f64 = 0.02;
 
-/// Constrains the cameras of a finished model as `term` says; `None` if there are no images to
+/// Constrains the cameras of a finished model as `mode` says; `None` if there are no images to
 /// constrain. If this repairs splits whose images have no matches across cameras, these images are
 /// matched again using `descriptors`, and the estimation is repeated with the new pairs.
 ///
@@ -62,10 +62,10 @@ const MAX_CLOCK_SD_S: f64 = 0.02;
 pub(crate) fn constrain_rig(
     context: &Context,
     model: &mut Reconstruction,
-    term: RigTerm,
+    mode: RigMode,
     descriptors: &mut Descriptors,
 ) -> Result<Option<CalibratedRig>, Error> {
-    let Some(found) = context.find_constraint(model, term)? else { return Ok(None) };
+    let Some(found) = context.find_constraint(model, mode)? else { return Ok(None) };
     let Some(ConstrainedModel { model: repaired, all_extrinsics, .. }) =
         found.best.as_ref().filter(|_| !found.split_images.is_empty())
     else {
@@ -82,7 +82,7 @@ pub(crate) fn constrain_rig(
     let context = Context { graph: &graph, ..*context };
     *model = repaired.clone();
     context.refine(model, &mut all_extrinsics.clone(), MERGE_ERROR_FACTOR)?;
-    match context.find_constraint(model, term)? {
+    match context.find_constraint(model, mode)? {
         Some(found) => context.refine_and_report(model, found, Some(split)).map(Some),
         None => Ok(None),
     }
@@ -105,7 +105,7 @@ impl Context<'_> {
     fn find_constraint(
         &self,
         model: &mut Reconstruction,
-        term: RigTerm,
+        mode: RigMode,
     ) -> Result<Option<ConstraintSearch>, Error> {
         let mut sensor_pairs = sensor_pairs(model);
         if sensor_pairs.iter().all(|sensor_pair| sensor_pair.referenced_images(model).is_empty()) {
@@ -120,14 +120,14 @@ impl Context<'_> {
         // The second pass runs if a clock or a direction is unobservable.
         for _ in 0..2 {
             *model = off.clone();
-            selection = self.select_sigmas(model, &mut sensor_pairs, term, &comparison)?;
+            selection = self.select_sigmas(model, &mut sensor_pairs, mode, &comparison)?;
             let Some(ConstrainedModel { all_extrinsics, .. }) = &selection.best else { break };
             if !self.fix_unobservable(model, all_extrinsics, &mut sensor_pairs)? {
                 break;
             }
         }
         let SigmaSelection { mut best, is_at_floor, split_images } = selection;
-        let wants_rigid = term == RigTerm::Hard || term == RigTerm::Auto && is_at_floor;
+        let wants_rigid = mode == RigMode::Rigid || mode == RigMode::Auto && is_at_floor;
         if let Some(soft) =
             best.as_ref().filter(|soft| wants_rigid && soft.has_synchronised_sensors())
         {
@@ -142,7 +142,7 @@ impl Context<'_> {
             register_rigidly(&mut candidate, &all_extrinsics);
             self.refine(&mut candidate, &mut all_extrinsics, 1.0)?;
             let error_px = comparison.error_px(&candidate);
-            if term == RigTerm::Hard || error_px <= (1.0 + RIGID_TOLERANCE) * soft.error_px {
+            if mode == RigMode::Rigid || error_px <= (1.0 + RIGID_TOLERANCE) * soft.error_px {
                 best = Some(ConstrainedModel {
                     model: candidate,
                     all_extrinsics,
@@ -177,7 +177,7 @@ impl Context<'_> {
         }
         hold_out_tracks(model, 0.0, self.seed);
         let all =
-            Context { adjust: AdjustOptions { selects_points: false, ..self.adjust }, ..*self };
+            Context { adjust: AdjustOptions { select_tracks: false, ..self.adjust }, ..*self };
         all.refine(model, &mut all_extrinsics, 1.0)?;
         add_frames(model, &all_extrinsics);
         let (mut cameras, mut bad_pairs) = (Vec::new(), Vec::new());

@@ -23,7 +23,7 @@ pub(super) fn extrinsics_covariances(
 ) -> Result<Vec<Option<ExtrinsicsCovariance>>, Error> {
     let model = &without_points_at_infinity(model);
     let noise = noise_of_fit(model, &options.loss);
-    let options = &AdjustOptions { noise, selects_points: false, ..*options };
+    let options = &AdjustOptions { noise, select_tracks: false, ..*options };
     let mut scaled: Vec<RigExtrinsics> = all_extrinsics
         .iter()
         .map(|extrinsics| extrinsics.with_autocorrelation(model).scaled(1.0 / noise))

@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 
 use tiepoint_ba::factors::Prior;
-use tiepoint_ba::{Key, Order, Problem, Summary};
+use tiepoint_ba::{EliminationOrder, Key, Problem, Summary};
 use tiepoint_geometry::nalgebra::{Matrix3, Vector3};
 use tiepoint_geometry::{Loss, Rigid3};
 use tiepoint_rig::{Clock, InterpolatedExtrinsics, SynchronousExtrinsics};
@@ -69,14 +69,17 @@ impl Term for ExtrinsicsTerm<'_> {
         let keys: BTreeMap<ImageId, Key<Rigid3>> = variables.poses().iter().copied().collect();
         let key = |image: &ImageId| keys.get(image).copied();
         for (index, extrinsics) in self.all_extrinsics.iter().enumerate() {
-            let pose_key =
-                variables.problem_mut().add_parameter(extrinsics.cam_from_rig, Order::Shared);
+            let pose_key = variables
+                .problem_mut()
+                .add_parameter(extrinsics.cam_from_rig, EliminationOrder::Last);
             let is_interpolated = extrinsics
                 .referenced_images
                 .iter()
                 .any(|m| matches!(m.reference, ReferencePose::Interpolated { .. }));
             let clock = is_interpolated.then(|| {
-                variables.problem_mut().add_parameter(extrinsics.sensor_pair.clock, Order::Shared)
+                variables
+                    .problem_mut()
+                    .add_parameter(extrinsics.sensor_pair.clock, EliminationOrder::Last)
             });
             if let Some(clock) = clock {
                 match extrinsics.sensor_pair.clock_state {

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use tiepoint_ba::{Key, Order};
+use tiepoint_ba::{EliminationOrder, Key};
 use tiepoint_geometry::{Loss, Rigid3};
 use tiepoint_rig::{Baseline, RelativePose, paper};
 use tiepoint_scene::{ImageId, Reconstruction};
@@ -44,7 +44,10 @@ impl Term for BaselineTerm<'_> {
         let mut keys: BTreeMap<ImageId, Key<Rigid3>> = variables.poses().iter().copied().collect();
         for link in self.links {
             let images = link.images();
-            if !images.iter().any(|image| context.scope.moves(*image) && keys.contains_key(image)) {
+            if !images
+                .iter()
+                .any(|image| context.scope.is_variable(*image) && keys.contains_key(image))
+            {
                 continue;
             }
             let key_of = |image: ImageId| -> Option<Key<Rigid3>> {
@@ -53,7 +56,7 @@ impl Term for BaselineTerm<'_> {
                 }
                 let key = variables.problem_mut().add_parameter(
                     *context.model.image(image).cam_from_world()?,
-                    Order::At(image.0),
+                    EliminationOrder::At(image.0),
                 );
                 variables.problem_mut().fix(key);
                 keys.insert(image, key);

@@ -17,7 +17,7 @@ use tiepoint_scene::{
 };
 
 use super::extrinsics::SplitImage;
-use crate::two_view::{VerifyOptions, View, verify_pair};
+use crate::two_view::{ImageObservations, VerifyOptions, verify_pair};
 
 /// Returns the descriptors of an image in the order of its keypoints; empty if there are none.
 pub type Descriptors<'a> = dyn FnMut(ImageId) -> Vec<Descriptor> + 'a;
@@ -61,8 +61,10 @@ pub(super) fn rematch(
             let matches = guided_matches(model, pair, &features[&pair.a], &features[&pair.b])?;
             let camera = |image| Camera { has_focal_prior: true, ..*model.camera_of(image) };
             let (camera_a, camera_b) = (camera(pair.a), camera(pair.b));
-            let a = View { keypoints: &model.image(pair.a).keypoints, camera: &camera_a };
-            let b = View { keypoints: &model.image(pair.b).keypoints, camera: &camera_b };
+            let a =
+                ImageObservations { keypoints: &model.image(pair.a).keypoints, camera: &camera_a };
+            let b =
+                ImageObservations { keypoints: &model.image(pair.b).keypoints, camera: &camera_b };
             let seed = Rng::stream(seed, &[u64::from(pair.a.0), u64::from(pair.b.0)]).next_u64();
             Some((*pair, verify_pair(a, b, &matches, &VerifyOptions::default(), seed)))
         };

@@ -13,7 +13,7 @@ use super::held_out::HeldOutComparison;
 use super::sensor_pair::{ClockState, SensorPair};
 use crate::Error;
 use crate::adjust::AdjustOptions;
-use crate::options::RigTerm;
+use crate::options::RigMode;
 
 /// Smallest standard deviations: translation in baselines, rotation in radians. At this level the
 /// constraint is rigid for any image. If the value is larger than the mount's flexibility, small
@@ -84,14 +84,14 @@ impl Context<'_> {
         &self,
         model: &mut Reconstruction,
         sensor_pairs: &mut [SensorPair],
-        term: RigTerm,
+        mode: RigMode,
         comparison: &HeldOutComparison,
     ) -> Result<SigmaSelection, Error> {
         let (mut repaired, mut clocks) = (model.clone(), sensor_pairs.to_vec());
         let selection = self.select_sigmas_with(
             &mut repaired,
             &mut clocks,
-            term,
+            mode,
             comparison,
             UnmatchedImages::ConstrainRuns,
         )?;
@@ -102,7 +102,7 @@ impl Context<'_> {
             return self.select_sigmas_with(
                 model,
                 sensor_pairs,
-                term,
+                mode,
                 comparison,
                 UnmatchedImages::Exclude,
             );
@@ -117,7 +117,7 @@ impl Context<'_> {
         &self,
         model: &mut Reconstruction,
         sensor_pairs: &mut [SensorPair],
-        term: RigTerm,
+        mode: RigMode,
         comparison: &HeldOutComparison,
         unmatched: UnmatchedImages,
     ) -> Result<SigmaSelection, Error> {
@@ -166,7 +166,7 @@ impl Context<'_> {
                     .iter()
                     .flat_map(|extrinsics| extrinsics.split_images.iter().copied()),
             );
-            let is_mandatory = term != RigTerm::Auto && step == 0;
+            let is_mandatory = mode != RigMode::Auto && step == 0;
             if !is_mandatory && comparison.is_worse(error_px, tolerance) {
                 break;
             }

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use tiepoint_ba::factors::Prior;
-use tiepoint_ba::{AnyKey, Key, Order, Problem};
+use tiepoint_ba::{AnyKey, EliminationOrder, Key, Problem};
 use tiepoint_geometry::Loss;
 use tiepoint_geometry::nalgebra::Vector1;
 use tiepoint_scene::{CameraId, ImageId, Reconstruction};
@@ -51,7 +51,8 @@ impl Term for ShutterTerm<'_> {
     ) -> Result<(), Error> {
         if let Some(shutter) = self.shutters.iter().find(|shutter| shutter.camera == camera) {
             let problem = variables.problem_mut();
-            let key = problem.add_parameter(Vector1::new(shutter.readout_s), Order::Shared);
+            let key =
+                problem.add_parameter(Vector1::new(shutter.readout_s), EliminationOrder::Last);
             let prior = Prior::new(Vector1::zeros(), &[READOUT_SIGMA_S / context.noise])?;
             problem.add(key, prior, Loss::Trivial)?;
             self.keys.insert(camera, key);

@@ -13,12 +13,12 @@ const CELLS: usize = 10;
 /// Minimum number of selected points in every image that has them.
 const MIN_POINTS: u32 = 200;
 
-/// Selects the points that the images accepted by `moves` need, longest tracks first. Ties go to
-/// the earlier point. The result has the order of `points`.
+/// Selects the points that the images accepted by `is_variable` need, longest tracks first. Ties go
+/// to the earlier point. The result has the order of `points`.
 pub(crate) fn select_points(
     model: &Reconstruction,
     points: Vec<PointId>,
-    moves: impl Fn(ImageId) -> bool,
+    is_variable: impl Fn(ImageId) -> bool,
 ) -> Vec<PointId> {
     let mut tracks: Vec<_> = points
         .iter()
@@ -30,7 +30,7 @@ pub(crate) fn select_points(
     let mut num_selected = vec![0; model.images().count()];
     let mut is_selected = vec![false; points.len()];
     for (place, track) in tracks {
-        let moving = || track.observations.iter().filter(|o| moves(o.image));
+        let moving = || track.observations.iter().filter(|o| is_variable(o.image));
         let is_needed = |o: &Observation| {
             num_selected[o.image.index()] < MIN_POINTS || !is_covered[cell(model, o)]
         };

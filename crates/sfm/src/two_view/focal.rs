@@ -115,7 +115,7 @@ fn unknown_lenses(model: &Reconstruction) -> Vec<Vec<CameraId>> {
     let ids = model.cameras().map(|(id, _)| id);
     let unknown = ids.filter(|&id| !model.camera(id).is_calibrated());
     let mut lenses: Vec<Vec<CameraId>> = unknown.map(|camera| vec![camera]).collect();
-    for pair in &model.turned {
+    for pair in &model.portrait_landscape_pairs {
         let lens_of = |camera| lenses.iter().position(|lens| lens.contains(&camera));
         if let [Some(one), Some(other)] = pair.map(lens_of)
             && one != other
@@ -274,7 +274,8 @@ mod tests {
                 model.add_camera(Camera { intrinsics, width: 640, height: 480, has_focal_prior })
             })
             .collect();
-        model.turned = vec![[ids[0], ids[3]], [ids[1], ids[4]], [ids[2], ids[3]], [ids[0], ids[2]]];
+        model.portrait_landscape_pairs =
+            vec![[ids[0], ids[3]], [ids[1], ids[4]], [ids[2], ids[3]], [ids[0], ids[2]]];
         let lenses = [vec![ids[0], ids[2], ids[3]], vec![ids[1]], vec![ids[5]]];
         assert_eq!(unknown_lenses(&model), lenses);
     }

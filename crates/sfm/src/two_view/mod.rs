@@ -8,4 +8,4 @@ pub(crate) use focal::with_focal;
 pub use focal::{FocalPrior, estimate_focal_lengths, focal_priors};
 pub use initial_pair::{InitialPair, initial_pairs};
 pub(crate) use initial_pair::{estimate_relative_pose, relative_pose};
-pub use verify::{VerifyOptions, View, verify_pair};
+pub use verify::{ImageObservations, VerifyOptions, verify_pair};

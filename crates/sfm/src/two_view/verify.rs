@@ -22,10 +22,10 @@ pub struct VerifyOptions {
     pub min_num_inliers: usize,
     /// Minimum number of inliers of the essential matrix relative to the fundamental matrix. Below
     /// it the calibration is considered wrong.
-    pub min_essential_share: f64,
+    pub min_e_f_inlier_ratio: f64,
     /// A homography with more than this fraction of the inliers indicates a plane or a pure
     /// rotation.
-    pub max_homography_share: f64,
+    pub max_h_inlier_ratio: f64,
 }
 
 impl Default for VerifyOptions {
@@ -33,15 +33,15 @@ impl Default for VerifyOptions {
         Self {
             max_error_px: 4.0,
             min_num_inliers: 15,
-            min_essential_share: 0.95,
-            max_homography_share: 0.8,
+            min_e_f_inlier_ratio: 0.95,
+            max_h_inlier_ratio: 0.8,
         }
     }
 }
 
 /// One image of a pair.
 #[derive(Clone, Copy, Debug)]
-pub struct View<'a> {
+pub struct ImageObservations<'a> {
     /// The keypoints of the image.
     pub keypoints: &'a [Keypoint],
     /// The camera of the image.
@@ -50,8 +50,8 @@ pub struct View<'a> {
 
 /// Verifies the matches of two images. `seed` is the seed of RANSAC.
 pub fn verify_pair(
-    view1: View,
-    view2: View,
+    view1: ImageObservations,
+    view2: ImageObservations,
     matches: &[Match],
     options: &VerifyOptions,
     seed: u64,
@@ -80,7 +80,7 @@ pub fn verify_pair(
     };
     // The fundamental matrix cannot have more inliers than there are matches. If the essential
     // matrix has nearly all of them, the test of the calibration needs no fundamental matrix.
-    let enough = options.min_essential_share * matches.len() as f64;
+    let enough = options.min_e_f_inlier_ratio * matches.len() as f64;
     if essential.is_none() && [view1, view2].iter().any(is_unknown_fisheye) {
         let matches = unknown_fisheye_matches(view1, view2, &points1, &points2, matches, &ransac);
         return if matches.len() < options.min_num_inliers {
@@ -99,7 +99,7 @@ pub fn verify_pair(
     let num_fundamental = fundamental.as_ref().map_or(0, |report| report.num_inliers);
     let mut two_view = match (essential, fundamental) {
         (Some(e), _)
-            if e.num_inliers as f64 >= options.min_essential_share * num_fundamental as f64 =>
+            if e.num_inliers as f64 >= options.min_e_f_inlier_ratio * num_fundamental as f64 =>
         {
             let essential = epipolar::essential_from_pose(&e.model);
             TwoView {
@@ -134,9 +134,9 @@ pub fn verify_pair(
         two_view.matches.iter().map(|m| view1.keypoints[m.a as usize].pixel).collect();
     let inliers2: Vec<Vector2<f64>> =
         two_view.matches.iter().map(|m| view2.keypoints[m.b as usize].pixel).collect();
-    let ransac = RansacOptions { min_inlier_ratio: options.max_homography_share, ..ransac };
+    let ransac = RansacOptions { min_inlier_ratio: options.max_h_inlier_ratio, ..ransac };
     if let Some(homography) = estimate::homography(&inliers1, &inliers2, &ransac)
-        && homography.num_inliers as f64 > options.max_homography_share * inliers1.len() as f64
+        && homography.num_inliers as f64 > options.max_h_inlier_ratio * inliers1.len() as f64
     {
         two_view.kind = TwoViewKind::PlanarOrPanoramic;
         two_view.homography = Some(homography.model);
@@ -149,21 +149,21 @@ pub fn verify_pair(
 const FISHEYE_TRIALS: [f64; 7] = [0.18, 0.25, 0.34, 0.46, 0.63, 0.87, 1.2];
 
 /// Whether a view is a fisheye without a known focal length.
-fn is_unknown_fisheye(view: &View) -> bool {
+fn is_unknown_fisheye(view: &ImageObservations) -> bool {
     !view.camera.is_calibrated() && view.camera.intrinsics.kind().is_fisheye()
 }
 
 /// The matches that a relative pose explains at the best of several focal lengths. All cameras
 /// without a focal length get the same one relative to their images.
 fn unknown_fisheye_matches(
-    view1: View,
-    view2: View,
+    view1: ImageObservations,
+    view2: ImageObservations,
     points1: &[Vector2<f64>],
     points2: &[Vector2<f64>],
     matches: &[Match],
     ransac: &RansacOptions,
 ) -> Vec<Match> {
-    let trial = |view: &View, relative: f64| {
+    let trial = |view: &ImageObservations, relative: f64| {
         let Camera { intrinsics, width, height, .. } = *view.camera;
         if view.camera.is_calibrated() {
             return intrinsics;

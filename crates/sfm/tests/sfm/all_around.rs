@@ -10,7 +10,7 @@ use tiepoint_scene::{
     Camera, CorrespondenceGraph, Image, ImageId, ImagePair, Keypoint, Match, Reconstruction,
     TwoView,
 };
-use tiepoint_sfm::{MapperOptions, VerifyOptions, View, map, verify_pair};
+use tiepoint_sfm::{ImageObservations, MapperOptions, VerifyOptions, map, verify_pair};
 
 /// Standard deviation of a keypoint's position, in pixels.
 const NOISE_PX: f64 = 0.5;
@@ -65,8 +65,10 @@ fn scene(camera: Camera, lens: &Intrinsics) -> (Reconstruction, CorrespondenceGr
                 }
             }
             let pair = ImagePair::new(ImageId(a as u32), ImageId(b as u32)).expect("two images");
-            let view =
-                |id| View { keypoints: &model.image(id).keypoints, camera: model.camera_of(id) };
+            let view = |id| ImageObservations {
+                keypoints: &model.image(id).keypoints,
+                camera: model.camera_of(id),
+            };
             let options = VerifyOptions::default();
             two_views.push((pair, verify_pair(view(pair.a), view(pair.b), &matches, &options, 0)));
         }

@@ -8,7 +8,7 @@ use tiepoint_geometry::{CameraModelKind, Intrinsics, Rigid3, Rng, so3};
 use tiepoint_scene::{Camera, Image, Reconstruction};
 use tiepoint_sfm::{
     CalibratedCamera, ClockState, MappedModel, MapperOptions, RefineIntrinsics, RigConstraint,
-    RigTerm, map, sensor_pairs,
+    RigMode, map, sensor_pairs,
 };
 use tiepoint_synth::{
     ClockEffects, Drive, DriveOptions, Effects, FeatureOptions, FeatureScene, MatchOptions,
@@ -36,7 +36,7 @@ struct Run {
 }
 
 /// A quarter of a block with a stop and a turn, at 5 images a second.
-fn run(seed: u64, clocks: ClockEffects, rig: RigTerm) -> Run {
+fn run(seed: u64, clocks: ClockEffects, rig: RigMode) -> Run {
     let effects = Effects { clocks, ..Effects::default() };
     let options = DriveOptions { seed, rate_hz: 5.0, effects, ..DriveOptions::default() };
     let mut drive = Drive::new(&options).expect("a street of 200 m");
@@ -105,7 +105,7 @@ const NORMALISED_OF_18: Range<f64> = 0.348..2.06;
 fn clocks_and_extrinsics_are_estimated_with_consistent_uncertainty() {
     let (mut sum, mut count) = (0.0, 0);
     for &seed in sample(&[1, 2, 3]) {
-        let run = run(seed, CLOCKS, RigTerm::Auto);
+        let run = run(seed, CLOCKS, RigMode::Auto);
         let camera = run.camera.as_ref().expect("the right camera was calibrated");
         assert_eq!(camera.sensor_pair.clock_state, ClockState::Estimated);
         assert!(
@@ -146,7 +146,7 @@ const MAX_DEVIATIONS: f64 = 4.0;
 #[test]
 fn no_offset_is_more_precise_than_the_time_stamps() {
     let jitter_s = 0.002;
-    let run = run(1, ClockEffects { jitter_s, ..CLOCKS }, RigTerm::Auto);
+    let run = run(1, ClockEffects { jitter_s, ..CLOCKS }, RigMode::Auto);
     let camera = run.camera.as_ref().expect("the right camera was calibrated");
     let floor_s = 2f64.sqrt() * jitter_s / (camera.num_referenced_images as f64).sqrt();
     let (error, sd) = errors(&run);
@@ -156,7 +156,7 @@ fn no_offset_is_more_precise_than_the_time_stamps() {
 
 #[test]
 fn synchronised_cameras_become_rigid_frames() {
-    let run = run(2, ClockEffects::default(), RigTerm::Hard);
+    let run = run(2, ClockEffects::default(), RigMode::Rigid);
     let camera = run.camera.as_ref().expect("the right camera was calibrated");
     assert_eq!(
         (camera.sensor_pair.clock_state, camera.sensor_pair.clock.offset_s, camera.constraint),

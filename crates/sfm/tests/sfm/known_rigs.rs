@@ -31,7 +31,7 @@ fn right_from_left() -> Rigid3 {
 }
 
 /// The rig of the drive with this pose of the right camera.
-fn rigs(scene: &Reconstruction, cam_from_rig: Rigid3, are_refined: bool) -> KnownRigs {
+fn rigs(scene: &Reconstruction, cam_from_rig: Rigid3, refine_extrinsics: bool) -> KnownRigs {
     let sensor = |image: usize, cam_from_rig: Rigid3| RigSensor {
         camera: scene.image(ImageId::from_index(image)).camera,
         cam_from_rig: Some(cam_from_rig),
@@ -44,7 +44,7 @@ fn rigs(scene: &Reconstruction, cam_from_rig: Rigid3, are_refined: bool) -> Know
     KnownRigs {
         rigs: vec![Rig { sensors }],
         frames: (0..NUM_FRAMES).map(frame).collect(),
-        are_refined,
+        refine_extrinsics,
     }
 }
 
@@ -139,8 +139,8 @@ fn extrinsics_are_refined_if_asked_for() {
     let truth = drive(5, TURN_RAD, FOCAL_PX, true);
     let off = Rigid3::from_axis_angle(Vector3::new(0.0, 0.017, 0.0), Vector3::zeros());
     let initial = off * right_from_left();
-    let angle_of = |are_refined: bool| {
-        let known = rigs(&truth.scene, initial, are_refined);
+    let angle_of = |refine_extrinsics: bool| {
+        let known = rigs(&truth.scene, initial, refine_extrinsics);
         let model = run(&truth.graph, &truth.scene, &known).reconstruction;
         let found = model.rigs[0].sensors[1].cam_from_rig.unwrap();
         let length = found.translation.norm();

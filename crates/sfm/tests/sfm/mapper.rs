@@ -11,8 +11,8 @@ use tiepoint_scene::{
     Reconstruction, Track, TwoView,
 };
 use tiepoint_sfm::{
-    AdjustOptions, MapperOptions, RefineIntrinsics, Scope, VerifyOptions, View, adjust, map,
-    verify_pair,
+    AdjustOptions, ImageObservations, MapperOptions, RefineIntrinsics, Scope, VerifyOptions,
+    adjust, map, verify_pair,
 };
 
 use crate::common::sample;
@@ -95,8 +95,10 @@ fn truth_of(
                 }
             }
             let pair = ImagePair::new(ImageId(a as u32), ImageId(b as u32)).expect("two images");
-            let view =
-                |id| View { keypoints: &scene.image(id).keypoints, camera: scene.camera_of(id) };
+            let view = |id| ImageObservations {
+                keypoints: &scene.image(id).keypoints,
+                camera: scene.camera_of(id),
+            };
             two_views.push((
                 pair,
                 verify_pair(view(pair.a), view(pair.b), &matches, &VerifyOptions::default(), seed),

@@ -6,11 +6,11 @@ use std::ops::ControlFlow;
 use tiepoint_geometry::{Rigid3, so3};
 use tiepoint_scene::CorrespondenceGraph;
 use tiepoint_sfm::{
-    CalibratedCamera, ClockState, Event, MappedModel, MapperOptions, RefineIntrinsics, RigTerm, map,
+    CalibratedCamera, ClockState, Event, MappedModel, MapperOptions, RefineIntrinsics, RigMode, map,
 };
 use tiepoint_synth::{
     ClockEffects, Drive, DriveOptions, Effects, FeatureOptions, FeatureScene, MatchOptions, Mount,
-    Mounting,
+    ViewDirection,
 };
 
 /// Baseline, in metres.
@@ -37,9 +37,9 @@ struct Run {
 }
 
 /// Half a block with a turn and a stop.
-fn run(rig: RigTerm) -> Run {
-    let [ahead, _] = Mount::stereo(Mounting::Front, BASELINE_M);
-    let [_, back] = Mount::stereo(Mounting::Rear, BASELINE_M);
+fn run(rig: RigMode) -> Run {
+    let [ahead, _] = Mount::stereo(ViewDirection::Front, BASELINE_M);
+    let [_, back] = Mount::stereo(ViewDirection::Rear, BASELINE_M);
     let effects = Effects { clocks: CLOCKS, ..Effects::default() };
     let mounts = vec![ahead, back];
     let mut drive = Drive::new(&DriveOptions {
@@ -94,7 +94,7 @@ const MAX_HEIGHT_M: f64 = 0.01;
 
 #[test]
 fn cameras_without_common_points_are_merged_into_one_model() {
-    let run = run(RigTerm::Auto);
+    let run = run(RigMode::Auto);
     assert!(run.was_joined);
     assert_eq!(run.models, 1);
     let camera = run.camera.expect("it is calibrated");
@@ -121,7 +121,7 @@ fn cameras_without_common_points_are_merged_into_one_model() {
 
 #[test]
 fn without_a_rig_term_the_models_stay_separate() {
-    let run = run(RigTerm::Off);
+    let run = run(RigMode::Off);
     assert!(!run.was_joined);
     assert_eq!(run.models, 2);
 }

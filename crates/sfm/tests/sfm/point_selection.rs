@@ -27,10 +27,10 @@ fn selected_points_determine_the_poses_and_all_other_points() {
     let options = MapperOptions { refine: RefineIntrinsics::NONE, ..MapperOptions::default() };
     let go_on = &mut |_: &Event| ControlFlow::Continue(());
     let models = map(&graph, &scene.without_poses(), &mut |_| Vec::new(), &options, go_on).unwrap();
-    let adjusted = |selects_points: bool| {
+    let adjusted = |select_tracks: bool| {
         let mut model = models[0].reconstruction.clone();
         let options =
-            AdjustOptions { refine: RefineIntrinsics::NONE, selects_points, ..Default::default() };
+            AdjustOptions { refine: RefineIntrinsics::NONE, select_tracks, ..Default::default() };
         let summary = adjust(&mut model, &Scope::Global, &options, &mut [], &mut |_| {
             ControlFlow::Continue(())
         });

@@ -10,7 +10,9 @@ use tiepoint_geometry::{CameraModelKind, Intrinsics, Rigid3, Rng};
 use tiepoint_scene::{
     Camera, CorrespondenceGraph, Image, ImagePair, Keypoint, Match, Reconstruction,
 };
-use tiepoint_sfm::{MapperOptions, RefineIntrinsics, VerifyOptions, View, map, verify_pair};
+use tiepoint_sfm::{
+    ImageObservations, MapperOptions, RefineIntrinsics, VerifyOptions, map, verify_pair,
+};
 
 use crate::common::sample;
 
@@ -91,7 +93,7 @@ fn street(seed: u64) -> Street {
             Some(Match { a: only(keypoints)?, b: only(seen[b].get(appearance)?)? })
         };
         let matches: Vec<Match> = seen[a].iter().filter_map(of).collect();
-        let view = |frame: usize| View {
+        let view = |frame: usize| ImageObservations {
             keypoints: &scene.image(ids[frame]).keypoints,
             camera: scene.camera_of(ids[frame]),
         };

@@ -10,9 +10,9 @@ use tiepoint_scene::{
 };
 use tiepoint_sfm::rig::{paper, relative_pose_statistics};
 use tiepoint_sfm::{
-    AdjustOptions, BaselineTerm, Event, MappedModel, MapperOptions, RefineIntrinsics,
-    RigConstraint, RigTerm, Scope, Term, VerifyOptions, View, adjust, final_links, growing_links,
-    map, relative_poses, rig_pairs, verify_pair,
+    AdjustOptions, BaselineTerm, Event, ImageObservations, MappedModel, MapperOptions,
+    RefineIntrinsics, RigConstraint, RigMode, Scope, Term, VerifyOptions, adjust, final_links,
+    growing_links, map, relative_poses, rig_pairs, verify_pair,
 };
 
 use crate::common::{ate_m, sample};
@@ -126,8 +126,10 @@ fn drive_with(
             };
             let matches: Vec<Match> = seen[a].iter().enumerate().filter_map(found).collect();
             let pair = ImagePair::new(ImageId(a as u32), ImageId(b as u32)).expect("two images");
-            let view =
-                |id| View { keypoints: &scene.image(id).keypoints, camera: scene.camera_of(id) };
+            let view = |id| ImageObservations {
+                keypoints: &scene.image(id).keypoints,
+                camera: scene.camera_of(id),
+            };
             let options = VerifyOptions::default();
             two_views
                 .push((pair, verify_pair(view(pair.a), view(pair.b), &matches, &options, seed)));
@@ -176,7 +178,7 @@ fn each_model_reports_its_own_rig() {
     let counts: Vec<usize> = truth.scene.images().map(|(_, image)| image.keypoints.len()).collect();
     truth.graph = CorrespondenceGraph::new(&counts, thinned.collect::<Vec<_>>());
     let mut began = Vec::new();
-    let options = calibrated(RigTerm::Hard);
+    let options = calibrated(RigMode::Rigid);
     let models = map(&truth.graph, &truth.scene, &mut |_| Vec::new(), &options, &mut |event| {
         if let Event::Initialised { image1, .. } = event {
             began.push(part(*image1));
@@ -235,7 +237,7 @@ fn assert_frames_are_rigid(model: &Reconstruction) {
 #[test]
 fn an_undetermined_sensor_pose_stays_constant() {
     let truth = drive(4, 0.03, FOCAL_PX, true);
-    let rigid = run(&truth, &calibrated(RigTerm::Hard));
+    let rigid = run(&truth, &calibrated(RigMode::Rigid));
     let options = AdjustOptions { refine: RefineIntrinsics::NONE, ..AdjustOptions::default() };
     let go_on = &mut |_: &_| ControlFlow::Continue(());
     let is_right = |image: &ImageId| image.index() >= NUM_FRAMES;
@@ -284,7 +286,7 @@ const LEFT_OF_BENT: f64 = 0.05;
 #[test]
 fn a_rigid_model_stays_rigid_when_it_is_adjusted() {
     let truth = drive(4, 0.03, FOCAL_PX, true);
-    let rigid = run(&truth, &calibrated(RigTerm::Hard));
+    let rigid = run(&truth, &calibrated(RigMode::Rigid));
     assert_frames_are_rigid(&rigid);
     let options = AdjustOptions { refine: RefineIntrinsics::NONE, ..AdjustOptions::default() };
     let go_on = &mut |_: &_| ControlFlow::Continue(());
@@ -322,7 +324,7 @@ fn a_rigid_model_stays_rigid_when_it_is_adjusted() {
     }
 }
 
-fn calibrated(rig: RigTerm) -> MapperOptions {
+fn calibrated(rig: RigMode) -> MapperOptions {
     MapperOptions { refine: RefineIntrinsics::NONE, rig, ..MapperOptions::default() }
 }
 
@@ -340,7 +342,7 @@ fn the_papers_term_reduces_the_scatter_of_the_baseline() {
             let spread = relative_pose_statistics(&poses).expect("ten frames");
             (spread.rms_translation / spread.mean_baseline, spread.rms_rotation_rad)
         };
-        let (off, with) = (scatter(RigTerm::Off), scatter(RigTerm::Paper));
+        let (off, with) = (scatter(RigMode::Off), scatter(RigMode::Paper));
         assert!(with.0 < off.0 && with.1 < off.1, "seed {seed}: {with:?} with, {off:?} without");
     }
 }
@@ -369,7 +371,7 @@ fn one_relative_pose_is_estimated_and_constrained() {
     let true_model = true_model(&truth);
     let mut spreads = Vec::new();
     let mut ates_m = Vec::new();
-    for rig in [RigTerm::Off, RigTerm::Soft, RigTerm::Hard, RigTerm::Auto] {
+    for rig in [RigMode::Off, RigMode::Soft, RigMode::Rigid, RigMode::Auto] {
         let MappedModel { reconstruction: model, rig: found_rig, .. } =
             run_whole(&truth, &calibrated(rig));
         model.validate().expect("a sound model");
@@ -381,7 +383,7 @@ fn one_relative_pose_is_estimated_and_constrained() {
         let relative = found.rms_translation / found.mean_baseline;
         spreads.push(relative);
         ates_m.push(ate_m(&model, &true_model));
-        if rig != RigTerm::Off {
+        if rig != RigMode::Off {
             let (without_m, with_m) = (ates_m[0], ates_m[ates_m.len() - 1]);
             assert!(
                 with_m < MAX_RELATIVE_ATE * without_m,
@@ -390,7 +392,7 @@ fn one_relative_pose_is_estimated_and_constrained() {
         }
         let constraint = found_rig.map(|rig| rig.constraint);
         match rig {
-            RigTerm::Hard => {
+            RigMode::Rigid => {
                 assert_eq!(constraint, Some(Some(RigConstraint::Rigid)));
                 assert!(relative < ROUNDING, "{relative}");
                 assert_eq!((model.rigs.len(), model.frames.len()), (1, NUM_FRAMES));
@@ -404,7 +406,7 @@ fn one_relative_pose_is_estimated_and_constrained() {
                     assert!(there.rotation.angle_to(&right.rotation) < ROUNDING);
                 }
             }
-            RigTerm::Soft | RigTerm::Auto => {
+            RigMode::Soft | RigMode::Auto => {
                 assert!(matches!(constraint, Some(Some(_))), "{rig:?}: {constraint:?}");
                 assert!(relative < spreads[0], "{relative} with {rig:?}, {} without", spreads[0]);
             }
@@ -424,7 +426,7 @@ fn a_pair_of_different_instants_is_reported_and_not_constrained() {
     truth.scene.set_time(one, times[1]);
     truth.scene.set_time(other, times[0]);
     let MappedModel { reconstruction: model, rig, .. } =
-        run_whole(&truth, &calibrated(RigTerm::Hard));
+        run_whole(&truth, &calibrated(RigMode::Rigid));
     let bad: Vec<_> = rig
         .expect("it was asked for")
         .bad_pairs
@@ -438,7 +440,7 @@ fn a_pair_of_different_instants_is_reported_and_not_constrained() {
 #[test]
 fn the_gauge_stays_fixed() {
     let truth = drive(5, 0.02, FOCAL_PX, true);
-    let mut model = run(&truth, &calibrated(RigTerm::Off));
+    let mut model = run(&truth, &calibrated(RigMode::Off));
     let rigs = rig_pairs(&model);
     let links = growing_links(&model, &rigs);
     assert_eq!(links.len(), NUM_FRAMES - 1);

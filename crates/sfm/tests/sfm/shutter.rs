@@ -10,7 +10,7 @@ use tiepoint_sfm::{
     map, row_poses,
 };
 use tiepoint_synth::{
-    Drive, DriveOptions, Effects, FeatureOptions, FeatureScene, MatchOptions, Mount, Mounting,
+    Drive, DriveOptions, Effects, FeatureOptions, FeatureScene, MatchOptions, Mount, ViewDirection,
 };
 
 use crate::common::ate_m;
@@ -31,9 +31,9 @@ struct Outcome {
 }
 
 /// Maps the drive of two cameras without a rig term.
-fn run(mounting: Mounting, readout: Option<Readout>) -> Outcome {
+fn run(direction: ViewDirection, readout: Option<Readout>) -> Outcome {
     let effects = Effects { readout_s: READOUT_S, ..Effects::default() };
-    let mounts = Mount::stereo(mounting, BASELINE_M).to_vec();
+    let mounts = Mount::stereo(direction, BASELINE_M).to_vec();
     let options =
         DriveOptions { seed: 2, rate_hz: 5.0, effects, mounts, ..DriveOptions::default() };
     let mut drive = Drive::new(&options).expect("a street of 200 m");
@@ -57,10 +57,10 @@ fn run(mounting: Mounting, readout: Option<Readout>) -> Outcome {
 }
 
 /// Mapped as with a global shutter; the reference of both tests.
-fn without(mounting: Mounting) -> &'static Outcome {
-    static FRONT: LazyLock<Outcome> = LazyLock::new(|| run(Mounting::Front, None));
-    static RIGHT: LazyLock<Outcome> = LazyLock::new(|| run(Mounting::Right, None));
-    if mounting == Mounting::Front { &FRONT } else { &RIGHT }
+fn without(direction: ViewDirection) -> &'static Outcome {
+    static FRONT: LazyLock<Outcome> = LazyLock::new(|| run(ViewDirection::Front, None));
+    static RIGHT: LazyLock<Outcome> = LazyLock::new(|| run(ViewDirection::Right, None));
+    if direction == ViewDirection::Front { &FRONT } else { &RIGHT }
 }
 
 /// In seconds. In that time the vehicle leaves the street, and no keypoint stays visible.
@@ -68,9 +68,9 @@ const ABSURD_READOUT_S: f64 = 10.0;
 
 #[test]
 fn an_absurd_readout_leaves_the_model_unchanged() {
-    let without = without(Mounting::Front);
+    let without = without(ViewDirection::Front);
     assert_eq!(without.failures, 0);
-    let absurd = run(Mounting::Front, Some(Readout::Known(ABSURD_READOUT_S)));
+    let absurd = run(ViewDirection::Front, Some(Readout::Known(ABSURD_READOUT_S)));
     assert_eq!(absurd.failures, 1);
     assert_eq!(absurd.error_m, without.error_m);
 }
@@ -84,14 +84,14 @@ const MAX_RELATIVE_ERROR: f64 = 0.5;
 
 #[test]
 fn a_rolling_shutter_is_estimated_and_corrected() {
-    for mounting in [Mounting::Front, Mounting::Right] {
-        let uncorrected = without(mounting);
+    for direction in [ViewDirection::Front, ViewDirection::Right] {
+        let uncorrected = without(direction);
         assert_eq!(uncorrected.shutters, []);
         assert_eq!(uncorrected.row_poses, []);
-        let known = run(mounting, Some(Readout::Known(READOUT_S)));
-        let found = run(mounting, Some(Readout::Estimated));
+        let known = run(direction, Some(Readout::Known(READOUT_S)));
+        let found = run(direction, Some(Readout::Estimated));
         eprintln!(
-            "{mounting:?}: {:.4} m uncorrected, {:.4} known, {:.4} found: {:?}",
+            "{direction:?}: {:.4} m uncorrected, {:.4} known, {:.4} found: {:?}",
             uncorrected.error_m, known.error_m, found.error_m, found.shutters
         );
         for outcome in [&known, &found] {

@@ -2,13 +2,14 @@
 
 use tiepoint_scene::{ImageId, Reconstruction, TwoViewKind};
 use tiepoint_synth::{
-    Drive, DriveOptions, FeatureOptions, FeatureScene, MatchOptions, Mount, Mounting, PairMatches,
+    Drive, DriveOptions, FeatureOptions, FeatureScene, MatchOptions, Mount, PairMatches,
+    ViewDirection,
 };
 
 const OBSERVATIONS: usize = 30_000;
 
-fn drive(mounting: Mounting) -> Drive {
-    let mounts = Mount::stereo(mounting, 0.5).to_vec();
+fn drive(direction: ViewDirection) -> Drive {
+    let mounts = Mount::stereo(direction, 0.5).to_vec();
     let options =
         DriveOptions { mounts, rate_hz: 3.0, width: 2000, height: 1500, ..DriveOptions::default() };
     Drive::new(&options).expect("the options are valid")
@@ -27,7 +28,7 @@ fn sees_same_point(truth: &Reconstruction, made: &PairMatches, index: usize) -> 
 
 #[test]
 fn tracks_lie_on_visible_surfaces() {
-    let drive = drive(Mounting::FrontRight);
+    let drive = drive(ViewDirection::FrontRight);
     let exact = scene(
         &drive,
         &FeatureOptions { noise_px: 0.0, observations: OBSERVATIONS, ..Default::default() },
@@ -66,7 +67,7 @@ fn tracks_lie_on_visible_surfaces() {
 fn keypoint_noise_has_its_standard_deviation() {
     let options =
         FeatureOptions { noise_px: 0.8, observations: OBSERVATIONS, ..Default::default() };
-    let truth = scene(&drive(Mounting::Right), &options);
+    let truth = scene(&drive(ViewDirection::Right), &options);
     let truth = truth.truth();
     let (mut sum, mut count) = (0.0, 0);
     for (point, track) in truth.tracks() {
@@ -87,7 +88,7 @@ fn keypoint_noise_has_its_standard_deviation() {
 fn outlier_ratio_and_verification_are_as_requested() {
     let options =
         FeatureOptions { observations: OBSERVATIONS, wrong_pairs: 3, ..Default::default() };
-    let scene = scene(&drive(Mounting::Front), &options);
+    let scene = scene(&drive(ViewDirection::Front), &options);
     let made = scene.matches(&MatchOptions { outlier_ratio: 0.25, ..MatchOptions::default() });
     assert!(made.is_sorted_by_key(|made| made.pair) && made.len() > 500, "{} pairs", made.len());
     let wrong_pairs: Vec<_> = scene.wrong_pairs().collect();
@@ -151,7 +152,7 @@ fn check_geometry(truth: &Reconstruction, made: &PairMatches) {
 #[test]
 fn input_of_a_mapper_has_neither_poses_nor_points() {
     let scene = scene(
-        &drive(Mounting::Left),
+        &drive(ViewDirection::Left),
         &FeatureOptions { observations: 5_000, ..Default::default() },
     );
     let blank = scene.without_poses();
@@ -167,7 +168,7 @@ fn input_of_a_mapper_has_neither_poses_nor_points() {
 
 #[test]
 fn scene_is_independent_of_the_number_of_threads() {
-    let drive = drive(Mounting::Right);
+    let drive = drive(ViewDirection::Right);
     let options = FeatureOptions { observations: 5_000, wrong_pairs: 1, ..Default::default() };
     let make = || {
         let scene = scene(&drive, &options);

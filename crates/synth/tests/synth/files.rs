@@ -2,10 +2,10 @@
 
 use tiepoint_geometry::Rigid3;
 use tiepoint_geometry::nalgebra::{Quaternion, UnitQuaternion, Vector3};
-use tiepoint_synth::{Drive, DriveOptions, Effects, Mount, Mounting, image, write_ply};
+use tiepoint_synth::{Drive, DriveOptions, Effects, Mount, ViewDirection, image, write_ply};
 
 fn drive(effects: Effects) -> Drive {
-    let mounts = Mount::stereo(Mounting::Right, 0.5).to_vec();
+    let mounts = Mount::stereo(ViewDirection::Right, 0.5).to_vec();
     let options =
         DriveOptions { mounts, width: 160, height: 120, effects, ..DriveOptions::default() };
     Drive::new(&options).expect("the options are valid")

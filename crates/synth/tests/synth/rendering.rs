@@ -4,8 +4,8 @@ use image::RgbImage;
 use tiepoint_geometry::nalgebra::{Matrix2, Vector2, Vector3};
 use tiepoint_geometry::{Rigid3, Rng};
 use tiepoint_synth::{
-    ActionLens, Drive, DriveOptions, Effects, Lens, Material, Mount, Mounting, Quad, Radiance,
-    Renderer, RowPose, Surface, World, image,
+    ActionLens, Drive, DriveOptions, Effects, Lens, Material, Mount, Quad, Radiance, Renderer,
+    RowPose, Surface, ViewDirection, World, image,
 };
 
 const WIDTH: u32 = 640;
@@ -150,8 +150,8 @@ fn rolling_shutter_agrees_with_the_row_poses() {
     assert!(difference.norm() > 2.0, "{difference}");
 }
 
-fn drive(mounting: Mounting, effects: Effects, seed: u64) -> Drive {
-    let mounts = vec![Mount::of(mounting)];
+fn drive(direction: ViewDirection, effects: Effects, seed: u64) -> Drive {
+    let mounts = vec![Mount::facing(direction)];
     let options = DriveOptions {
         seed,
         mounts,
@@ -168,8 +168,8 @@ fn surface_points_project_to_their_pixels() {
     // Newton and fixed-point iterations both end below 1e-8 px.
     const TOLERANCE_PX: f64 = 1e-6;
     let mut rng = Rng::stream(3, &[]);
-    for mounting in Mounting::ALL {
-        let drive = drive(mounting, Effects::all(), 5);
+    for direction in ViewDirection::ALL {
+        let drive = drive(direction, Effects::all(), 5);
         let mut seen = 0;
         for _ in 0..300 {
             let exposures = &drive.cameras()[0].exposures;
@@ -181,7 +181,7 @@ fn surface_points_project_to_their_pixels() {
             assert!((back - pixel).norm() < TOLERANCE_PX, "{pixel} became {back}");
             seen += 1;
         }
-        assert!(seen > 100, "{seen} pixels of {mounting:?} see anything");
+        assert!(seen > 100, "{seen} pixels of {direction:?} see anything");
     }
 }
 
@@ -250,7 +250,7 @@ fn image_motion_agrees_with_the_ground_truth() {
     for (effects, limit) in
         [(Effects::default(), MAX_GLOBAL_ERROR_PX), (rolling, MAX_ROLLING_ERROR_PX)]
     {
-        let shifts = shifts_between_images_px(&drive(Mounting::Right, effects, 1), 30, 31);
+        let shifts = shifts_between_images_px(&drive(ViewDirection::Right, effects, 1), 30, 31);
         assert!(shifts.len() > 20, "{} patches", shifts.len());
         for axis in 0..2 {
             let mut along: Vec<f64> = shifts.iter().map(|shift| shift[axis]).collect();
@@ -264,7 +264,7 @@ fn image_motion_agrees_with_the_ground_truth() {
 
 #[test]
 fn images_are_independent_of_the_number_of_threads() {
-    let drive = drive(Mounting::Front, Effects::all(), 2);
+    let drive = drive(ViewDirection::Front, Effects::all(), 2);
     let exposure = &drive.cameras()[0].exposures[20];
     let render = || drive.render(0, exposure, &drive.renderer(0)).into_raw();
     let on = |threads: usize| {
@@ -277,7 +277,7 @@ fn images_are_independent_of_the_number_of_threads() {
 
 #[test]
 fn seeds_give_different_worlds_and_routes() {
-    let of = |seed: u64| drive(Mounting::Front, Effects::default(), seed);
+    let of = |seed: u64| drive(ViewDirection::Front, Effects::default(), seed);
     let picture = |drive: &Drive| {
         drive.render(0, &drive.cameras()[0].exposures[5], &drive.renderer(0)).into_raw()
     };
@@ -289,17 +289,17 @@ fn seeds_give_different_worlds_and_routes() {
 
 #[test]
 fn effects_are_independent() {
-    let plain = drive(Mounting::Right, Effects::default(), 4);
+    let plain = drive(ViewDirection::Right, Effects::default(), 4);
     for (name, switch_on) in Effects::PRESETS {
         let mut effects = Effects::default();
         switch_on(&mut effects);
-        let with = drive(Mounting::Right, effects, 4);
+        let with = drive(ViewDirection::Right, effects, 4);
         let (camera, plain_camera) = (&with.cameras()[0], &plain.cameras()[0]);
         assert_eq!(camera.lens == plain_camera.lens, name != "lens", "{name}");
         assert_eq!(camera.readout_s == 0.0, name != "rolling-shutter", "{name}");
         assert_eq!(
             camera.cam_from_vehicle == plain_camera.cam_from_vehicle,
-            name != "mounting",
+            name != "misalignment",
             "{name}"
         );
         let moves_alike =

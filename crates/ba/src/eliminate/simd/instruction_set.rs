@@ -57,7 +57,7 @@ mod tests {
 
     use super::FORCED;
     use crate::factors::{Between, Prior, Reprojection};
-    use crate::{LinearSolver, Options, Order, Problem, Solver};
+    use crate::{EliminationOrder, LinearSolver, Options, Problem, Solver};
 
     /// Rounding, after a step on normal equations with a condition number of about 1e6.
     const SAME: f64 = 1e-8;
@@ -85,15 +85,15 @@ mod tests {
                 Vector3::new(-(i as f64), 0.1, 8.0),
             )
         };
-        let intrinsics = problem.add_parameter(params, Order::Shared);
+        let intrinsics = problem.add_parameter(params, EliminationOrder::Last);
         let cameras: Vec<_> = (0..6)
             .map(|i| {
-                let pose = problem.add_parameter(true_pose(i), Order::At(i as u32));
+                let pose = problem.add_parameter(true_pose(i), EliminationOrder::At(i as u32));
                 (
                     if shared {
                         intrinsics
                     } else {
-                        problem.add_parameter(params, Order::At(i as u32))
+                        problem.add_parameter(params, EliminationOrder::At(i as u32))
                     },
                     pose,
                 )

@@ -39,7 +39,7 @@ pub(super) fn point_triangulator(options: &Options, output: &Output) -> Result<(
             tracks: tracks(options)?,
             filter: filter(options)?,
             min_matches: options.number("Mapper.min_num_matches")?,
-            has_colors: options.flag("Mapper.extract_colors"),
+            extract_colors: options.flag("Mapper.extract_colors"),
         })
     })();
     let triangulation = triangulation.map_err(Failure::Usage)?;
@@ -117,10 +117,10 @@ fn map_options(options: &Options) -> Result<MapDatabaseOptions, String> {
         names: names.map(|names| names.into_iter().collect()),
         min_matches: options.number("Mapper.min_num_matches")?,
         max_models: models,
-        has_colors: options.flag("Mapper.extract_colors"),
-        refines_rigs: options.flag("Mapper.ba_refine_sensor_from_rig"),
+        extract_colors: options.flag("Mapper.extract_colors"),
+        refine_extrinsics: options.flag("Mapper.ba_refine_sensor_from_rig"),
         input: options.path("input_path"),
-        has_constant_poses: options.flag("Mapper.fix_existing_images"),
+        constant_poses: options.flag("Mapper.fix_existing_images"),
         project: Some(options.project()),
     })
 }

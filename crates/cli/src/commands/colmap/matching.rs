@@ -58,8 +58,8 @@ fn match_options(options: &Options) -> Result<MatchOptions, String> {
         verify: VerifyOptions {
             max_error_px: real("SiftMatching.max_error")?,
             min_num_inliers: options.number("SiftMatching.min_num_inliers")?,
-            min_essential_share: real("TwoViewGeometry.min_E_F_inlier_ratio")?,
-            max_homography_share: real("TwoViewGeometry.max_H_inlier_ratio")?,
+            min_e_f_inlier_ratio: real("TwoViewGeometry.min_E_F_inlier_ratio")?,
+            max_h_inlier_ratio: real("TwoViewGeometry.max_H_inlier_ratio")?,
         },
         seed: options.seed()?,
         ..MatchOptions::default()

@@ -27,8 +27,8 @@ pub(super) fn bundle_adjuster(options: &Options, output: &Output) -> Result<(), 
     let iterations: f64 = number("BundleAdjustment.max_num_iterations")?;
     let adjustment = AdjustModelOptions {
         refine: refine(options, "BundleAdjustment."),
-        has_constant_poses: !options.flag("BundleAdjustment.refine_extrinsics"),
-        has_constant_rigs: !options.flag("BundleAdjustment.refine_sensor_from_rig"),
+        constant_poses: !options.flag("BundleAdjustment.refine_extrinsics"),
+        constant_rigs: !options.flag("BundleAdjustment.refine_sensor_from_rig"),
         max_iterations: iterations.max(0.0) as usize,
         // COLMAP's 0 is for as long as the cost decreases.
         function_tolerance: (tolerance > 0.0).then_some(tolerance),

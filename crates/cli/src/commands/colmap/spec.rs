@@ -1,4 +1,4 @@
-//! What an option is.
+//! Description of an option: type of its values, effect, default.
 
 /// The values that an option takes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -10,16 +10,16 @@ pub(super) enum Kind {
     Path,
 }
 
-/// What an option does.
+/// Effect of an option.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Effect {
-    /// It does what it says.
+    /// It has the same effect as in COLMAP.
     Used,
-    /// It is about speed or logs: the results do not depend on it.
+    /// It concerns speed or logs. The results do not depend on it.
     Speed,
-    /// It tunes a method that this program does not have: a warning says so.
+    /// It tunes a method that this program does not have. A warning says so.
     Tuning,
-    /// Only its default: another value would ask for other results than this program gives.
+    /// Only its default value is accepted: this program has no results for another value.
     Fixed,
 }
 

@@ -11,7 +11,7 @@ use tiepoint_pipeline::eval::geometry::Sim3;
 use tiepoint_pipeline::eval::geometry::nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use tiepoint_pipeline::io::colmap::Format;
 use tiepoint_pipeline::sfm::scene::CameraId;
-use tiepoint_pipeline::sfm::{MapperOptions, Readout, RigTerm};
+use tiepoint_pipeline::sfm::{MapperOptions, Readout, RigMode};
 use tiepoint_pipeline::{
     Error, FeatureOptions, InputModel, MapOptions, MatchOptions, Options, Report, RigCamera,
     Workspace, map, reconstruct, write_model,
@@ -22,7 +22,7 @@ use super::dense_cloud::{Comparison, DenseCloud, evaluate_dense};
 use super::distance::Distance;
 use super::drive::{calibration, render_once, write};
 use super::side::Side;
-use crate::args::{Scenery, rig_name};
+use crate::args::Scenery;
 use crate::commands::drive_evaluation::{DriveEvaluation, evaluate_drive};
 use crate::commands::synth::{Plan, driven_m, scan};
 use crate::failure::Failure;
@@ -31,7 +31,7 @@ use crate::progress::Progress;
 /// A similarity needs three camera centres or more.
 pub(super) const MIN_FRAMES: usize = 3;
 /// File of the errors in the workspace.
-const EVALUATION_FILE: &str = "judged.json";
+const EVALUATION_FILE: &str = "evaluation.json";
 /// Folder with the model of the true poses and intrinsics.
 const TRUE_CAMERAS: &str = "true-cameras";
 /// Folder in a workspace whose `sparse/0` may hold a model of COLMAP.
@@ -41,7 +41,7 @@ const COLMAP: &str = "colmap";
 pub(super) struct Task<'a> {
     /// Heading of its table row.
     pub(super) name: &'a str,
-    pub(super) rig: RigTerm,
+    pub(super) rig: RigMode,
     pub(super) workspace: PathBuf,
     /// Workspace with the true poses and intrinsics, and the matches of `workspace`.
     pub(super) exact: PathBuf,
@@ -100,7 +100,7 @@ pub(super) struct Measurements {
     /// first camera.
     pub(super) baseline_spread_m: Option<f64>,
     /// Baseline of the estimated rig extrinsics.
-    pub(super) mounting_m: Option<f64>,
+    pub(super) extrinsics_m: Option<f64>,
     /// Wall time of all stages.
     pub(super) seconds: f64,
     /// Scale, rotation quaternion (w first) and translation.
@@ -148,8 +148,8 @@ impl Task<'_> {
             Some(kept) => kept,
             None => {
                 let scan = scan.on_side(self.drive, side)?;
-                let judged = self.evaluate_drive(&folder, side, scan.as_ref())?;
-                let measured = Measurements::new(None, judged);
+                let evaluation = self.evaluate_drive(&folder, side, scan.as_ref())?;
+                let measured = Measurements::new(None, evaluation);
                 write(&path, &json(&measured))?;
                 measured
             }
@@ -173,7 +173,7 @@ impl Task<'_> {
         let images = self.drive.cameras().iter().map(|camera| camera.exposures.len()).sum();
         let run = Run {
             name: self.name.to_owned(),
-            rig: rig_name(self.rig).to_owned(),
+            rig: self.rig.name().to_owned(),
             workspace: self.workspace.clone(),
             images,
             driven_m: driven_m(self.drive),
@@ -186,10 +186,10 @@ impl Task<'_> {
         let run = match report.and_then(|report| {
             Ok((report, self.evaluate_drive(&self.workspace, side, scan.as_ref())?))
         }) {
-            Ok((report, judged)) => {
+            Ok((report, evaluation)) => {
                 let [dense, exact_dense] =
-                    self.dense_clouds(&judged, side, scan.as_ref(), progress)?;
-                let measured = Measurements::new(Some(&report), judged);
+                    self.dense_clouds(&evaluation, side, scan.as_ref(), progress)?;
+                let measured = Measurements::new(Some(&report), evaluation);
                 Run { result: Some(Measurements { dense, exact_dense, ..measured }), ..run }
             }
             // These errors are results of the experiment: the images do not suffice.
@@ -216,7 +216,7 @@ impl Task<'_> {
     /// The dense clouds of the workspace and of the true poses and intrinsics.
     fn dense_clouds(
         &self,
-        judged: &DriveEvaluation,
+        evaluation: &DriveEvaluation,
         side: &Side,
         scan: Option<&Cloud>,
         progress: &mut Progress,
@@ -224,8 +224,8 @@ impl Task<'_> {
         let Some(scan) = scan else { return Ok([None, None]) };
         let mut comparison = Comparison {
             scan,
-            world_from_model: judged.poses.truth_from_model,
-            cameras: &judged.camera_errors,
+            world_from_model: evaluation.poses.truth_from_model,
+            cameras: &evaluation.camera_errors,
             has_true_poses: false,
             is_compared: &|point| side.contains(point),
         };
@@ -256,7 +256,7 @@ impl Task<'_> {
         let truth = InputModel { path: folder, fix_existing_frames: true };
         let seed = self.scenery.seed;
         let options = MapOptions {
-            mapper: MapperOptions { rig: RigTerm::Off, seed, ..MapperOptions::default() },
+            mapper: MapperOptions { rig: RigMode::Off, seed, ..MapperOptions::default() },
             input_model: Some(truth),
             ..MapOptions::default()
         };
@@ -296,7 +296,7 @@ fn json(value: &impl Serialize) -> String {
 }
 
 impl Measurements {
-    fn new(report: Option<&Report>, judged: DriveEvaluation) -> Self {
+    fn new(report: Option<&Report>, evaluation: DriveEvaluation) -> Self {
         let DriveEvaluation {
             poses,
             model,
@@ -306,7 +306,7 @@ impl Measurements {
             cloud,
             exact_cloud,
             ..
-        } = judged;
+        } = evaluation;
         let rms = |squares: &dyn Fn(&Vector3<f64>) -> f64| {
             let sum: f64 =
                 camera_errors.iter().map(|e| squares(&(e.estimated_centre - e.true_centre))).sum();
@@ -339,7 +339,7 @@ impl Measurements {
             baseline_m: baseline.as_ref().map(|baseline| baseline.baseline.mean),
             largest_baseline_m: baseline.as_ref().map(|baseline| baseline.baseline.max),
             baseline_spread_m: baseline.as_ref().map(|baseline| baseline.translation_rms),
-            mounting_m: extrinsics.map(length),
+            extrinsics_m: extrinsics.map(length),
             seconds: seconds.iter().flatten().flatten().sum(),
             world_from_model: [scale, r.w, r.i, r.j, r.k, t.x, t.y, t.z],
         }

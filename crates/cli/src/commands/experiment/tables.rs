@@ -1,15 +1,14 @@
 //! The tables: first with rows, columns and units of the paper, then with errors that need ground
 //! truth.
 
-use tiepoint_pipeline::sfm::RigTerm;
+use tiepoint_pipeline::sfm::RigMode;
 use tiepoint_pipeline::{Table, TableRow};
 
 use super::run::{Measurements, Run};
-use crate::args::rig_name;
 use crate::commands::synth::BASELINE_M;
 
 /// Experiment I.
-pub(super) fn of_mountings(runs: &[Run]) -> Vec<Table> {
+pub(super) fn view_directions(runs: &[Run]) -> Vec<Table> {
     let caption = "Table 3 in the rendered world: accuracy for different mounting configurations \
     of monocular cameras (Experiment I)";
     let first = paper_table(caption, "Camera configuration", runs);
@@ -21,10 +20,8 @@ pub(super) fn of_mountings(runs: &[Run]) -> Vec<Table> {
 pub(super) fn of_constraints(runs: &[Run]) -> Vec<Table> {
     let caption = "Table 4 in the rendered world: accuracy for two uncalibrated cameras that \
     overlap (Experiment II)";
-    let traditional = runs
-        .iter()
-        .find(|run| run.rig == rig_name(RigTerm::Off))
-        .and_then(|run| run.result.as_ref());
+    let traditional =
+        runs.iter().find(|run| run.rig == RigMode::Off.name()).and_then(|run| run.result.as_ref());
     let change = |of: fn(&Measurements) -> Option<f64>| {
         move |run: &Run| {
             let (before, after) = (of(traditional?)?, of(run.result.as_ref()?)?);
@@ -35,7 +32,7 @@ pub(super) fn of_constraints(runs: &[Run]) -> Vec<Table> {
     let in_ate = change(|measured| Some(measured.ate_m));
     let extrinsics_heading = format!("Baseline of extrinsics (true {BASELINE_M:.3}) [m]");
     let (extrinsics, mean) =
-        (ours(|measured| measured.mounting_m), ours(|measured| measured.baseline_m));
+        (ours(|measured| measured.extrinsics_m), ours(|measured| measured.baseline_m));
     let (largest, rms) =
         (ours(|measured| measured.largest_baseline_m), ours(|measured| measured.baseline_spread_m));
     let more: [Column; 6] = [
@@ -50,10 +47,10 @@ pub(super) fn of_constraints(runs: &[Run]) -> Vec<Table> {
 }
 
 /// Heading of a row: the paper's name of the method, and the value of --rig.
-pub(super) fn row_of(rig: RigTerm) -> String {
+pub(super) fn row_of(rig: RigMode) -> String {
     match rig {
-        RigTerm::Off => format!("Traditional ({})", rig_name(rig)),
-        _ => format!("Constrained ({})", rig_name(rig)),
+        RigMode::Off => format!("Traditional ({})", rig.name()),
+        _ => format!("Constrained ({})", rig.name()),
     }
 }
 
@@ -187,7 +184,7 @@ mod tests {
         DenseCloud { distance: Distance { mean_m, std_m }, ..DenseCloud::default() }
     }
 
-    fn run(name: &str, rig: RigTerm, mean_m: f64, std_m: f64) -> Run {
+    fn run(name: &str, rig: RigMode, mean_m: f64, std_m: f64) -> Run {
         let result = Measurements {
             registered: 9,
             dense: Some(of_dense(mean_m, std_m)),
@@ -198,7 +195,7 @@ mod tests {
             baseline_m: Some(0.5),
             ..Measurements::default()
         };
-        let rig = rig_name(rig).to_owned();
+        let rig = rig.name().to_owned();
         Run {
             name: name.to_owned(),
             rig,
@@ -213,9 +210,9 @@ mod tests {
     #[test]
     fn experiment_one_has_the_layout_of_table_3() {
         let mut runs = vec![
-            run("Front", RigTerm::Off, 1.253, 2.049),
-            run("Right", RigTerm::Off, 2.451, 4.285),
-            run("Rear", RigTerm::Off, 1.252, 2.052),
+            run("Front", RigMode::Off, 1.253, 2.049),
+            run("Right", RigMode::Off, 2.451, 4.285),
+            run("Rear", RigMode::Off, 1.252, 2.052),
         ];
         let failure = Some("nothing overlaps".to_owned());
         runs.push(Run {
@@ -225,7 +222,7 @@ mod tests {
             result: None,
             ..runs[0].clone()
         });
-        let [table, truth] = &of_mountings(&runs)[..] else { panic!("two tables") };
+        let [table, truth] = &view_directions(&runs)[..] else { panic!("two tables") };
         let expected = "\
 | Camera configuration | Mean absolute distance [m] |  |  |  | Std deviation [m] |  |  |  |
 |---|---|---|---|---|---|---|---|---|
@@ -246,7 +243,7 @@ mod tests {
 
     #[test]
     fn experiment_two_has_the_layout_of_table_4_and_the_improvement_of_the_paper() {
-        let runs: Vec<Run> = [(RigTerm::Off, 2.028, 2.965), (RigTerm::Paper, 1.432, 2.105)]
+        let runs: Vec<Run> = [(RigMode::Off, 2.028, 2.965), (RigMode::Paper, 1.432, 2.105)]
             .map(|(rig, mean_m, std_m)| run(&row_of(rig), rig, mean_m, std_m))
             .to_vec();
         let [table, truth] = &of_constraints(&runs)[..] else { panic!("two tables") };
@@ -261,7 +258,7 @@ mod tests {
         assert_eq!(truth.head[0].len(), truth.rows[0].1.len() + 1);
         // With COLMAP's results in the paper.
         let mut both = runs.clone();
-        both[0].colmap = run("", RigTerm::Off, 2.976, 3.690).result;
+        both[0].colmap = run("", RigMode::Off, 2.976, 3.690).result;
         let [table, with_colmap] = &of_constraints(&both)[..] else { panic!("two tables") };
         let text = table.to_markdown();
         assert!(

@@ -3,8 +3,8 @@
 
     pip install numpy pillow pycolmap==4.2.1
     cargo build --release
-    TIEPOINT_DATA=... python bench/doors.py                       all folders, tiepoint and COLMAP
-    TIEPOINT_DATA=... python bench/doors.py --only tiepoint --sets fountain-P11 --folders zoom
+    TIEPOINT_DATA=... python bench/phone_folders.py    all folders, tiepoint and COLMAP
+    TIEPOINT_DATA=... python bench/phone_folders.py [--only tiepoint] [--sets SET] [--folders zoom]
 
 Each folder is made of all photos of a set, encoded again as JPEG of quality 97 (the folder `clean`,
 too), with EXIF data of a phone whose 35 mm equivalent focal length is rounded to a millimetre:
@@ -17,7 +17,7 @@ too), with EXIF data of a phone whose 35 mm equivalent focal length is rounded t
     mixed         both: a third cropped, another third of half the size
     zoom          a third cropped to 2/3 and resampled to full size, with 1.5 times the focal length
     phones        half by a second phone: another body, cropped to 4:3 and resampled to 80 %
-    strangers     a tenth more photos, of another place
+    distractors   a tenth more photos, of another place
 
 The error is the mean distance of the camera centres from the truth of Strecha et al. after a
 similarity (Umeyama 1991), in millimetres; where there is none (sceaux), from the same program's
@@ -43,7 +43,8 @@ FILM_DIAGONAL_MM = float(np.hypot(36, 24))
 QUALITY = 97
 CROP, HALF, ZOOM, SECOND = 0.75, 0.5, 1.5, 0.8
 FOLDERS = [
-    "clean", "flag", "upright", "turned", "crops", "halves", "mixed", "zoom", "phones", "strangers",
+    "clean", "flag", "upright", "turned", "crops", "halves", "mixed", "zoom", "phones",
+    "distractors",
 ]  # fmt: skip
 SETS = {"fountain-P11": "sceaux", "sceaux": "fountain-P11"}
 
@@ -114,7 +115,7 @@ def write_folder(kind, data, name, target):
         image = Image.open(path).convert("RGB")
         image, exif, focals[path.name] = make(kind, index, image, focal_px)
         image.save(target / path.name, quality=QUALITY, subsampling=0, exif=exif)
-    if kind == "strangers":
+    if kind == "distractors":
         others = photos_of(data / SETS[name] / "images")
         for path in others[:: max(1, len(others) // round(0.1 * len(focals) + 0.5))]:
             Image.open(path).convert("RGB").save(
@@ -172,7 +173,7 @@ def measure(path, focals, truth, unit):
     out = {
         "registered": sum(name in focals for name in centres),
         "photos": len(focals),
-        "strangers": sum(name not in focals for name in centres),
+        "distractors": sum(name not in focals for name in centres),
         "cameras": len(model.cameras),
     }
     if len(names) > 3:

@@ -1,4 +1,5 @@
-//! Onto what exists: an input model, a database of another program, photos in a finished model.
+//! Existing models and databases: an input model, a database of another program, photos in a
+//! finished model.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -111,7 +112,7 @@ fn new_photos_are_registered_onto_an_input_model() {
     fails("[]/nothing", 1, &["nothing", "No such file"]);
     fails("{}/all", 1, &["all", "holds no COLMAP model"]);
     fails("{}/ws --baseline 1m", 2, &["--baseline", "--input-model"]);
-    fails("{}/ws --fix-existing-frames --rig hard", 2, &["--rig", "--fix-existing-frames"]);
+    fails("{}/ws --fix-existing-frames --rig rigid", 2, &["--rig", "--fix-existing-frames"]);
     fails("{}/ws --rig paper", 2, &["--rig paper", "--input-model"]);
     fails("{}/ws --rig-calibration []/x", 2, &["--rig-calibration", "--input-model"]);
     run(dir.path(), "map []/fixed --fix-existing-frames").failed(2, &["--input-model"]);

@@ -1,10 +1,10 @@
-"""Onto what exists: localisation of held-out photos, and models and databases that this program and
-COLMAP exchange.
+"""Existing models and databases: localisation of held-out photos, and models and databases that
+this program and COLMAP exchange.
 
     pip install numpy pycolmap==4.2.1
-    TIEPOINT_DATA=... python bench/onto.py TIEPOINT [localize] [exchange] [--colmap COLMAP]
+    TIEPOINT_DATA=... python bench/existing_models.py TIEPOINT [localize] [exchange] [--colmap OLD]
 
-TIEPOINT is the program. COLMAP is an old one (3.8 of apt), whose databases and models are exchanged
+TIEPOINT is the program. OLD is an old COLMAP (3.8 of apt), whose databases and models are exchanged
 as well. `localize`: every third photo of fountain-P11, Herz-Jesus-P8 and the left camera of kitti01
 is held out, the others are mapped, and the poses of the held-out ones are compared with the truth
 after the similarity of the mapped ones, beside pycolmap's absolute pose of the same 2D-3D

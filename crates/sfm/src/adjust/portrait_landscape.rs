@@ -1,9 +1,9 @@
-//! Two cameras of one lens whose images are turned by 90° against each other: photos of a camera
-//! that is held upright, with pixels that are upright, too.
+//! Two cameras that are one lens in portrait and landscape format: their images are rotated by 90°
+//! against each other, because the program that wrote them rotated the pixels upright.
 //!
 //! Turning an image exchanges the focal lengths and keeps the coefficients of the radial
-//! distortion. The cameras share these up to [`SIGMA`]. The principal point and the distortion that
-//! is not radial stay separate: they depend on the sense of the turn, which pixels do not tell.
+//! distortion. The cameras share these up to [`SIGMA`]. The principal point and the other
+//! distortion parameters stay separate: they depend on the sense of the rotation, which is unknown.
 
 use std::any::Any;
 
@@ -18,11 +18,11 @@ use crate::Error;
 /// value ten times as large suffices for a million keypoints, as for the ratio of focal lengths.
 const SIGMA: f64 = 1e-6;
 
-/// A parameter that turned cameras share: its index in the one and in the other camera.
-type Shared = (usize, usize);
+/// A parameter that the two cameras share: its index in the one and in the other camera.
+type SharedParam = (usize, usize);
 
 /// The shared parameters of a camera model.
-fn shared_params(kind: CameraModelKind) -> Vec<Shared> {
+fn shared_params(kind: CameraModelKind) -> Vec<SharedParam> {
     let focal = match *kind.focal_indices() {
         [x, y] => vec![(x, y), (y, x)],
         ref single => single.iter().map(|&index| (index, index)).collect(),
@@ -36,14 +36,14 @@ fn shared_params(kind: CameraModelKind) -> Vec<Shared> {
     focal.into_iter().chain(radial.map(|(index, _)| (index, index))).collect()
 }
 
-/// Residual of the parameters that turned cameras share.
-struct TurnedLens<const N: usize> {
-    shared: Vec<Shared>,
+/// Residual of the parameters that the two cameras share.
+struct SharedLens<const N: usize> {
+    shared: Vec<SharedParam>,
     /// Reciprocal standard deviation of each parameter of the second camera.
     weights: SVector<f64, N>,
 }
 
-impl<const N: usize> Factor<N> for TurnedLens<N> {
+impl<const N: usize> Factor<N> for SharedLens<N> {
     type Vars = (SVector<f64, N>, SVector<f64, N>);
 
     fn linearize(
@@ -65,14 +65,14 @@ impl<const N: usize> Factor<N> for TurnedLens<N> {
 /// The key of a camera's parameters. Its type depends on the camera model.
 pub(super) type CameraKey = (CameraId, Box<dyn Any>);
 
-/// Adds the factors of the turned cameras that are both in the problem.
-pub(super) fn add_turned(
+/// Adds the factors of the cameras of a pair that are both in the problem.
+pub(super) fn add_portrait_landscape(
     problem: &mut Problem,
     model: &Reconstruction,
     keys: &[CameraKey],
 ) -> Result<(), Error> {
     let key_of = |camera: CameraId| keys.iter().find(|(id, _)| *id == camera).map(|(_, key)| key);
-    for &[one, other] in &model.turned {
+    for &[one, other] in &model.portrait_landscape_pairs {
         let (Some(key1), Some(key2)) = (key_of(one), key_of(other)) else { continue };
         let intrinsics = &model.camera(one).intrinsics;
         let is_fixed = |camera| model.calibrated.contains(&camera);
@@ -88,7 +88,7 @@ pub(super) fn add_turned(
                 key1.downcast_ref::<Key<Params<M>>>(),
                 key2.downcast_ref::<Key<Params<M>>>(),
             ) {
-                let factor = turned_lens(intrinsics, params);
+                let factor = shared_lens(intrinsics, params);
                 problem.add((*key1, *key2), factor, Loss::Trivial)?;
             }
         });
@@ -97,13 +97,13 @@ pub(super) fn add_turned(
 }
 
 /// The factor at these intrinsics.
-fn turned_lens<const N: usize>(intrinsics: &Intrinsics, params: &SVector<f64, N>) -> TurnedLens<N> {
+fn shared_lens<const N: usize>(intrinsics: &Intrinsics, params: &SVector<f64, N>) -> SharedLens<N> {
     let kind = intrinsics.kind();
     let sigma = |index: usize| {
         if kind.focal_indices().contains(&index) { SIGMA * params[index] } else { SIGMA }
     };
     let weights = SVector::from_fn(|index, _| 1.0 / sigma(index));
-    TurnedLens { shared: shared_params(kind), weights }
+    SharedLens { shared: shared_params(kind), weights }
 }
 
 /// Copies the shared parameters to cameras that no registered image has yet, so that their first
@@ -112,7 +112,7 @@ pub(super) fn copy_to_unused(model: &mut Reconstruction) {
     let is_used = |model: &Reconstruction, camera: CameraId| {
         model.registered().any(|(_, image, _)| image.camera == camera)
     };
-    for [one, other] in model.turned.clone() {
+    for [one, other] in model.portrait_landscape_pairs.clone() {
         let (from, to) = match (is_used(model, one), is_used(model, other)) {
             (true, false) => (one, other),
             (false, true) => (other, one),
@@ -152,7 +152,7 @@ mod tests {
         let one = SVector::<f64, 8>::from(params);
         let other = one.map(|param| 1.1 * param + 0.1);
         // Large weights would hide errors behind rounding.
-        let mut factor = turned_lens(&intrinsics, &one);
+        let mut factor = shared_lens(&intrinsics, &one);
         factor.weights.fill(2.0);
         check_jacobians(&factor, (one, other), 1e-6).unwrap();
     }
@@ -164,7 +164,7 @@ mod tests {
             let intrinsics = Intrinsics::centred(CameraModelKind::Opencv, 500.0, width, height);
             model.add_camera(Camera { intrinsics, width, height, has_focal_prior: false })
         });
-        model.turned.push([one, other]);
+        model.portrait_landscape_pairs.push([one, other]);
         let image = model.add_image(Image::new("0", one, Vec::new()));
         model.register(image, tiepoint_geometry::Rigid3::identity());
         let refined = [400.0, 401.0, 318.0, 242.0, 0.1, 0.2, 0.3, 0.4];

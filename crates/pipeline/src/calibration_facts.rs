@@ -1,25 +1,25 @@
-//! What is known of the cameras beside their initial intrinsics. The record of the feature stage
-//! holds it for mapping: it follows from the photos and the options of the stage.
+//! Calibration of the cameras beside their initial intrinsics. The record of the feature stage holds
+//! it for mapping: it follows from the photos and the options of the stage.
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use tiepoint_sfm::scene::{CameraId, Reconstruction};
 
-/// What the keys begin with.
+/// Prefix of the keys.
 pub(crate) const FOUND: &str = "found.";
-const TURNED: &str = "found.turned";
+const PORTRAIT_LANDSCAPE_PAIRS: &str = "found.portrait_landscape_pairs";
 
-/// What is known of the cameras.
+/// Calibration of the cameras beside their intrinsics.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub(crate) struct CameraFacts {
+pub(crate) struct CalibrationFacts {
     /// Cameras with known intrinsics.
     pub(crate) calibrated: BTreeSet<CameraId>,
-    /// Cameras of one lens whose images are turned against each other. A pair has equal radial
+    /// Cameras of one lens whose images have portrait and landscape format. A pair has equal radial
     /// distortion, and the fx of the one is the fy of the other.
-    pub(crate) turned: Vec<[CameraId; 2]>,
+    pub(crate) portrait_landscape_pairs: Vec<[CameraId; 2]>,
 }
 
-impl CameraFacts {
+impl CalibrationFacts {
     /// Key of the cameras with known intrinsics.
     pub(crate) const CALIBRATED: &str = "found.calibrated";
 
@@ -27,9 +27,15 @@ impl CameraFacts {
     pub(crate) fn texts(&self) -> Vec<(&'static str, String)> {
         let calibrated: Vec<String> =
             self.calibrated.iter().map(|camera| camera.0.to_string()).collect();
-        let turned: Vec<String> =
-            self.turned.iter().map(|[one, other]| format!("{}-{}", one.0, other.0)).collect();
-        let mut texts = vec![(Self::CALIBRATED, calibrated.join(",")), (TURNED, turned.join(","))];
+        let pairs: Vec<String> = self
+            .portrait_landscape_pairs
+            .iter()
+            .map(|[one, other]| format!("{}-{}", one.0, other.0))
+            .collect();
+        let mut texts = vec![
+            (Self::CALIBRATED, calibrated.join(",")),
+            (PORTRAIT_LANDSCAPE_PAIRS, pairs.join(",")),
+        ];
         texts.retain(|(_, value)| !value.is_empty());
         texts
     }
@@ -44,7 +50,7 @@ impl CameraFacts {
         };
         Self {
             calibrated: words(Self::CALIBRATED).filter_map(id).collect(),
-            turned: words(TURNED).filter_map(pair).collect(),
+            portrait_landscape_pairs: words(PORTRAIT_LANDSCAPE_PAIRS).filter_map(pair).collect(),
         }
     }
 
@@ -56,11 +62,11 @@ impl CameraFacts {
             .map(|(camera, _)| (model.original_ids.camera(camera), camera))
             .collect();
         let there = |camera: &CameraId| ids.get(&(camera.index() as u64 + 1)).copied();
-        let turned = self.turned.iter().filter(|[one, other]| one != other);
-        let turned = turned.filter_map(|[one, other]| Some([there(one)?, there(other)?]));
-        let (calibrated, turned) =
-            (self.calibrated.iter().filter_map(there).collect(), turned.collect());
-        (model.calibrated, model.turned) = (calibrated, turned);
+        let pairs = self.portrait_landscape_pairs.iter().filter(|[one, other]| one != other);
+        let pairs = pairs.filter_map(|[one, other]| Some([there(one)?, there(other)?]));
+        let (calibrated, pairs) =
+            (self.calibrated.iter().filter_map(there).collect(), pairs.collect());
+        (model.calibrated, model.portrait_landscape_pairs) = (calibrated, pairs);
     }
 }
 
@@ -73,17 +79,17 @@ mod tests {
 
     #[test]
     fn facts_survive_the_record() {
-        let facts = CameraFacts {
+        let facts = CalibrationFacts {
             calibrated: [CameraId(0), CameraId(12)].into(),
-            turned: vec![[CameraId(1), CameraId(2)], [CameraId(3), CameraId(5)]],
+            portrait_landscape_pairs: vec![[CameraId(1), CameraId(2)], [CameraId(3), CameraId(5)]],
         };
         let texts = facts.texts();
         let value =
             |key: &str| texts.iter().find(|(own, _)| *own == key).map(|(_, value)| value.as_str());
-        assert_eq!(CameraFacts::read(value), facts);
+        assert_eq!(CalibrationFacts::read(value), facts);
         assert!(texts.iter().all(|(key, _)| key.starts_with(FOUND)));
-        assert_eq!(CameraFacts::default().texts(), []);
-        assert_eq!(CameraFacts::read(|_| Some("1,x,-3,9-")).calibrated, [CameraId(1)].into());
+        assert_eq!(CalibrationFacts::default().texts(), []);
+        assert_eq!(CalibrationFacts::read(|_| Some("1,x,-3,9-")).calibrated, [CameraId(1)].into());
         let mut model = Reconstruction::default();
         facts.add_to(&mut model);
         assert_eq!(model, Reconstruction::default(), "it has no cameras");
@@ -91,9 +97,9 @@ mod tests {
 
     #[test]
     fn facts_go_to_the_cameras_with_the_same_ids() {
-        let facts = CameraFacts {
+        let facts = CalibrationFacts {
             calibrated: [CameraId(0), CameraId(3)].into(),
-            turned: vec![[CameraId(1), CameraId(2)], [CameraId(2), CameraId(3)]],
+            portrait_landscape_pairs: vec![[CameraId(1), CameraId(2)], [CameraId(2), CameraId(3)]],
         };
         // Cameras 3 and 4 of the database, which counts from 1.
         let mut model = Reconstruction::default();
@@ -104,6 +110,6 @@ mod tests {
         model.original_ids = OriginalIds::new(vec![3, 4], vec![], vec![]);
         facts.add_to(&mut model);
         assert_eq!(model.calibrated, [CameraId(1)].into());
-        assert_eq!(model.turned, [[CameraId(0), CameraId(1)]]);
+        assert_eq!(model.portrait_landscape_pairs, [[CameraId(0), CameraId(1)]]);
     }
 }
