@@ -3,7 +3,7 @@
 use numpy::ndarray::{Array1, Array2, Array3, Dimension, Ix2};
 use numpy::{
     AllowTypeChange, IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayLike, PyReadonlyArray,
-    PyUntypedArray, PyUntypedArrayMethods,
+    PyUntypedArray, PyUntypedArrayMethods, get_array_module,
 };
 use pyo3::prelude::*;
 use tiepoint_geometry::Rigid3;
@@ -38,14 +38,16 @@ pub(crate) fn invalid_array(
     shape: &str,
 ) -> PyErr {
     let found = match value.cast::<PyUntypedArray>() {
-        Ok(array) => {
-            let sizes: Vec<String> = array.shape().iter().map(ToString::to_string).collect();
-            let comma = if sizes.len() == 1 { "," } else { "" };
-            format!("{} of shape ({}{comma})", array.dtype(), sizes.join(", "))
-        }
+        Ok(array) => array.dtype().to_string(),
         Err(_) => value.get_type().to_string(),
     };
-    invalid(format!("{name} must be an array of {elements} of shape {shape}, not {found}"))
+    // Lists have a shape, too, unless their rows differ in length.
+    let found_shape = get_array_module(value.py())
+        .and_then(|numpy| numpy.call_method1("shape", (value,)))
+        .map_or(String::new(), |shape| format!(" of shape {shape}"));
+    invalid(format!(
+        "{name} must be an array of {elements} of shape {shape}, not {found}{found_shape}"
+    ))
 }
 
 /// The rows of an N × `D` array of finite numbers; an error names the array.

@@ -80,18 +80,17 @@ pub(crate) fn match_descriptors<'py>(
 
 /// The pixels of a mask of this shape.
 fn mask_of(mask: &Bound<'_, PyAny>, shape: (usize, usize)) -> PyResult<Vec<u8>> {
-    let pixels: (_, Vec<u8>) = if let Ok(mask) = mask.extract::<PyReadonlyArray2<'_, bool>>() {
-        let mask = mask.as_array();
-        (mask.dim(), mask.iter().map(|value| u8::from(*value)).collect())
+    let pixels = if let Ok(mask) = mask.extract::<PyReadonlyArray2<'_, bool>>() {
+        mask.as_array().mapv(u8::from)
+    } else if let Ok(mask) = mask.extract::<PyReadonlyArray2<'_, u8>>() {
+        mask.as_array().to_owned()
     } else {
-        let mask = bytes::<Ix2>(mask, "mask", "(H, W)")?;
-        let mask = mask.as_array();
-        (mask.dim(), mask.iter().copied().collect())
+        return Err(invalid_array(mask, "mask", "uint8 or bool", "(H, W)"));
     };
-    if pixels.0 != shape {
+    if pixels.dim() != shape {
         return Err(invalid("mask must have the shape of image"));
     }
-    Ok(pixels.1)
+    Ok(pixels.into_iter().collect())
 }
 
 fn descriptors(value: &Bound<'_, PyAny>, name: &str) -> PyResult<Vec<Descriptor>> {

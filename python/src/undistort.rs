@@ -29,13 +29,13 @@ pub(crate) fn undistort<'py>(
     const SHAPE: &str = "(H, W, 1) or (H, W, 3)";
     refuse_after_fork()?;
     let array = bytes::<Ix3>(image, "image", SHAPE)?;
-    let options = UndistortOptions { blank_pixels, min_scale, max_scale, max_image_size: max_size };
-    let to = undistort_camera(&camera.camera, &options).map_err(invalid)?;
-    let undistortion = Undistortion::new(&camera.camera, &to);
     let (height, width, channels) = array.as_array().dim();
     if ![1, 3].contains(&channels) {
         return Err(invalid_array(image, "image", "uint8", SHAPE));
     }
+    let options = UndistortOptions { blank_pixels, min_scale, max_scale, max_image_size: max_size };
+    let to = undistort_camera(&camera.camera, &options).map_err(invalid)?;
+    let undistortion = Undistortion::new(&camera.camera, &to);
     let size = (camera.camera.width as usize, camera.camera.height as usize);
     if (width, height) != size {
         return Err(invalid(format!(

@@ -79,6 +79,14 @@ def test_wrong_arrays_are_errors():
         tiepoint.homography(np.zeros(4), one)
     with pytest.raises(tiepoint.UsageError, match="points2 .*, not <class 'str'>"):
         tiepoint.homography(one, "left.jpg")
+    with pytest.raises(tiepoint.UsageError, match=r"not <class 'list'> of shape \(2,\)"):
+        tiepoint.homography([0, 0], one)
+    with pytest.raises(tiepoint.UsageError, match="not <class 'list'>$"):
+        tiepoint.homography([[0, 0], [0]], one)
+    with pytest.raises(tiepoint.UsageError, match="mask must be an array of uint8 or bool"):
+        tiepoint.sift(np.zeros((9, 9), np.uint8), mask=np.zeros((9, 9)))
+    with pytest.raises(tiepoint.UsageError, match="mask must have the shape of image"):
+        tiepoint.sift(np.zeros((9, 9), np.uint8), mask=np.zeros((9, 8), bool))
     with pytest.raises(tiepoint.UsageError, match=r"uint8 of shape \(H, W\), not .* \(9, 9, 3\)"):
         tiepoint.sift(np.zeros((9, 9, 3), np.uint8))
     with pytest.raises(tiepoint.UsageError, match=r"\(N, 128\), not float32"):
