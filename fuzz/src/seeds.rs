@@ -36,7 +36,15 @@ fn main() -> Outcome {
     let dir = folder();
     let read = |name: &str| std::fs::read(dir.join(name));
     for (name, width, height) in
-        [("a.jpg", 24, 16), ("b.png", 9, 7), ("c.tif", 8, 8), ("d.jpg", 65, 3), ("e.webp", 9, 7), ("f.bmp", 9, 7), ("g.ppm", 9, 7)]
+        [
+            ("a.jpg", 24, 16),
+            ("b.png", 9, 7),
+            ("c.tif", 8, 8),
+            ("d.jpg", 65, 3),
+            ("e.webp", 9, 7),
+            ("f.bmp", 9, 7),
+            ("g.ppm", 9, 7),
+        ]
     {
         picture(width, height).write(&dir.join(name))?;
         put("images", name, &read(name)?);

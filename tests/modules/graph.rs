@@ -21,6 +21,8 @@ pub(super) fn edges(files: &Files) -> Edges {
     for root in ["lib.rs", "main.rs"].into_iter().filter(|root| files.contains_key(*root)) {
         graph.load(files, root, "", None, parsed(files, root));
     }
+    while graph.import_names(false) {}
+    graph.name_others();
     // A macro in a module may define any name, but only one that nothing else explains.
     for with_macros in [false, true] {
         while graph.import_names(with_macros) {}
@@ -78,6 +80,8 @@ enum Named {
     Module(usize),
     /// An item of this module.
     Item(usize),
+    /// An item of another crate.
+    Other,
 }
 
 impl Graph {
@@ -139,6 +143,21 @@ impl Graph {
         is_new
     }
 
+    /// Names what the modules import from other crates, when all else is named.
+    fn name_others(&mut self) {
+        for at in 0..self.modules.len() {
+            let is_other = |Import { path, .. }: &&Import| {
+                !["crate", "self", "super"].contains(&path[0].as_str())
+                    && self.resolve(at, path, false).is_empty()
+            };
+            let imports = self.modules[at].source.imports.iter().filter(is_other);
+            let names: Vec<String> = imports.map(|import| import.name.clone()).collect();
+            for name in names.into_iter().filter(|name| name != "*") {
+                self.modules[at].names.entry(name).or_insert_with(|| [Named::Other].into());
+            }
+        }
+    }
+
     /// The meanings of a path in a module as far as they are known; none for a path of another
     /// crate.
     fn resolve(&self, from: usize, path: &[String], with_macros: bool) -> BTreeSet<Named> {
@@ -158,7 +177,7 @@ impl Graph {
             let named = module.names.get(segment).cloned().unwrap_or_default();
             let inner = named.iter().find_map(|named| match named {
                 Named::Module(inner) => Some(*inner),
-                Named::Item(_) => None,
+                Named::Item(_) | Named::Other => None,
             });
             match inner {
                 Some(inner) if i + 1 < path.len() => (at, is_absolute) = (inner, true),

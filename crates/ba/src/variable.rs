@@ -90,7 +90,7 @@ impl<V: Manifold> From<Key<V>> for AnyKey {
 pub enum EliminationOrder {
     /// At a time, such as a frame number: variables that share factors should have nearby times.
     At(u32),
-    /// After all others, for a variable that many frames share: camera intrinsics or rig extrinsics.
+    /// After all others, for a variable that many frames share: intrinsics or rig extrinsics.
     Last,
 }
 

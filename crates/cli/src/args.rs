@@ -251,9 +251,9 @@ pub(crate) struct Input {
     /// Folder for intermediate files and results: a COLMAP project.
     #[arg(short, long = "output", value_name = "WORKSPACE")]
     pub(crate) output: PathBuf,
-    /// Takes the sharpest of every N frames of a video; 1 takes all. By default the sharpest of each
-    /// tenth of a second, and more where the image moves fast. Videos of one drive give frames of
-    /// the same times. Frames without image motion, as at a stop, are left out.
+    /// Takes the sharpest of every N frames of a video; 1 takes all. By default the sharpest of
+    /// each tenth of a second, and more where the image moves fast. Videos of one drive give frames
+    /// of the same times. Frames without image motion, as at a stop, are left out.
     #[arg(long, value_name = "N")]
     pub(crate) every: Option<NonZeroUsize>,
     /// Capture times of the photos: CSV with the header `image,seconds`. By default the times in

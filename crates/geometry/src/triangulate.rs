@@ -133,8 +133,9 @@ fn angle_cosine(a: &ViewRay, b: &ViewRay, xyz: &Vector3<f64>) -> f64 {
 }
 
 /// The point with the least squared distances from all rays, each weighted by the inverse square of
-/// its length in a second iteration, so that angles are minimised: Σ w (I − d dᵀ)(x − c) = 0. `None`
-/// if the rays do not determine it. The point may be behind a camera; [`triangulate`] checks that.
+/// its length in a second iteration, so that angles are minimised: Σ w (I − d dᵀ)(x − c) = 0.
+/// `None` if the rays do not determine it. The point may be behind a camera; [`triangulate`] checks
+/// that.
 pub fn nearest_to_rays<'a>(
     rays: impl Iterator<Item = &'a ViewRay<'a>> + Clone,
 ) -> Option<Vector3<f64>> {

@@ -72,7 +72,8 @@ impl Default for Exif {
 }
 
 impl Exif {
-    /// Reads the EXIF data of a JPEG, PNG, TIFF or WebP file. Missing and invalid fields are left out.
+    /// Reads the EXIF data of a JPEG, PNG, TIFF or WebP file. Missing and invalid fields are left
+    /// out.
     ///
     /// # Errors
     ///

@@ -20,9 +20,9 @@ const IMAGE_EXTENSIONS: [&str; 11] =
 /// File name extensions of videos, in any case.
 pub(crate) const VIDEO_EXTENSIONS: [&str; 8] =
     ["mp4", "mov", "m4v", "mkv", "avi", "mts", "m2ts", "webm"];
-/// Photos that are not read, because no kept library in Rust decodes them (HEIC, AVIF), or none with
-/// a licence like ours (camera raw), or because none encodes them, and an undistorted photo has the
-/// format of its photo (JPEG 2000, JPEG XL). They are named.
+/// Photos that are not read, because no kept library in Rust decodes them (HEIC, AVIF), or none
+/// with a licence like ours (camera raw), or because none encodes them, and an undistorted photo
+/// has the format of its photo (JPEG 2000, JPEG XL). They are named.
 const UNREAD: [Unread; 7] = [
     Unread {
         extensions: &["heic", "heif", "hif"],
@@ -143,8 +143,8 @@ pub struct ImageFolder {
     turn: Turn,
     /// Whether masks are stored in the orientation of the stored photo, where sizes do not tell.
     are_masks_stored: bool,
-    /// Bits of the values of each camera's images of 16 bits a channel, once one is read. One number
-    /// for all, so that the brightness of a camera stays the same.
+    /// Bits of the values of each camera's images of 16 bits a channel, once one is read. One
+    /// number for all, so that the brightness of a camera stays the same.
     bits: Arc<[OnceLock<u32>]>,
 }
 

@@ -72,7 +72,8 @@ fn codes_all_bits(bytes: &[u8]) -> bool {
             (0xC0..=0xC2, [_, _, _, _, _, _, of_components @ ..]) => {
                 components = of_components.chunks_exact(3).map(|component| component[0]).collect();
             }
-            // The components: identifier, tables. First and last coefficient, bits before and after.
+            // The components: identifier, tables. First and last coefficient, bits before and
+            // after.
             (START_OF_SCAN, [_, of_components @ .., first, last, bits]) if bits & 15 == 0 => {
                 let coefficients = (*first..=(*last).min(63)).fold(0, |all, k| all | 1_u64 << k);
                 for component in of_components.chunks_exact(2) {

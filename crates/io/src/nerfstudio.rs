@@ -73,8 +73,8 @@ pub fn write_with_motion(
             "FULL_OPENCV" if camera.intrinsics.params()[9..] == [0.0; 3] => "OPENCV",
             other => {
                 let what = format!(
-                    "nerfstudio knows no camera model {other}, which {} was taken with: undistort the \
-                    images first, which gives PINHOLE cameras",
+                    "nerfstudio knows no camera model {other}, which {} was taken with: undistort \
+                    the images first, which gives PINHOLE cameras",
                     image.name
                 );
                 return Err(Error::content(path, what));

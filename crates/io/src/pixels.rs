@@ -95,10 +95,10 @@ impl Luma {
         Ok(Self { width, height, data })
     }
 
-    /// Reads a mask: 0 where nothing is to be seen. A pixel that is not black stays above 0, however
-    /// dark it is, as in files of 0 and 1 with 16 bits. If a part is transparent, as in a cut-out,
-    /// that part is 0; its opaque part is not 0 where it is not black, or everywhere if all of it is
-    /// black. `orientation` is that of EXIF by which a mask that has none is turned.
+    /// Reads a mask: 0 where nothing is to be seen. A pixel that is not black stays above 0,
+    /// however dark it is, as in files of 0 and 1 with 16 bits. If a part is transparent, as in a
+    /// cut-out, that part is 0; its opaque part is not 0 where it is not black, or everywhere if
+    /// all of it is black. `orientation` is that of EXIF by which a mask that has none is turned.
     pub(crate) fn read_mask(
         path: &Path,
         limit: &SizeLimit,

@@ -23,9 +23,9 @@ pub struct Vertex {
 const GREY: [u8; 3] = [128; 3];
 /// Colour of camera centres.
 const RED: [u8; 3] = [255, 0, 0];
-/// Detail of a cloud that a file keeps, as a share of its size: a hundredth of a pixel in an image of
-/// 5,000 pixels that shows all of it. Clouds whose mean is within 16 times their size of the origin
-/// are in single precision; half or double of it changes this distance to 8 or 33.
+/// Detail of a cloud that a file keeps, as a share of its size: a hundredth of a pixel in an image
+/// of 5,000 pixels that shows all of it. Clouds whose mean is within 16 times their size of the
+/// origin are in single precision; half or double of it changes this distance to 8 or 33.
 const MIN_DETAIL: f64 = 2e-6;
 /// Longest line of a header, in bytes.
 const MAX_HEADER_LINE_BYTES: u64 = 1 << 12;

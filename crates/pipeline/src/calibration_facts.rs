@@ -1,5 +1,5 @@
-//! Calibration of the cameras beside their initial intrinsics. The record of the feature stage holds
-//! it for mapping: it follows from the photos and the options of the stage.
+//! Calibration of the cameras beside their initial intrinsics. The record of the feature stage
+//! holds it for mapping: it follows from the photos and the options of the stage.
 
 use std::collections::{BTreeMap, BTreeSet};
 

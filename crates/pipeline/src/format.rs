@@ -8,7 +8,6 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use crate::Error;
-use crate::records::json;
 
 /// The format that is written, and the only one that is read.
 const FORMAT: u64 = 1;
@@ -27,6 +26,14 @@ struct Numbered<'a, T> {
 struct Header {
     /// `None` in files of before 0.1.0.
     format: Option<u64>,
+}
+
+/// Pretty JSON with a final line break.
+pub(crate) fn json(value: &impl Serialize) -> Vec<u8> {
+    let mut text = serde_json::to_vec_pretty(value)
+        .expect("our own types are JSON: string keys, finite numbers");
+    text.push(b'\n');
+    text
 }
 
 /// A file as JSON, with its format.

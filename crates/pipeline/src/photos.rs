@@ -81,7 +81,8 @@ impl Photos {
         &self.folder.images()[photo.index].name
     }
 
-    /// The name and the fingerprint of each of these photos; those that cannot be read are left out.
+    /// The name and the fingerprint of each of these photos; those that cannot be read are left
+    /// out.
     pub(crate) fn fingerprints(&self, of: &[Photo]) -> Vec<(&str, String)> {
         let fingerprint =
             |photo: &Photo| Some((self.name(photo), of_photo(self.folder.path(photo.index)).ok()?));

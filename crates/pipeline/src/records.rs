@@ -260,14 +260,6 @@ impl Records {
     }
 }
 
-/// Pretty JSON with a final line break.
-pub(crate) fn json(value: &impl Serialize) -> Vec<u8> {
-    let mut text = serde_json::to_vec_pretty(value)
-        .expect("our own types are JSON: string keys, finite numbers");
-    text.push(b'\n');
-    text
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;

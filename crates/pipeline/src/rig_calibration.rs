@@ -53,8 +53,8 @@ pub(crate) fn known_rigs(
         if cameras.len() > 1 && frames.iter().all(|images| images.len() < 2) {
             let whats: Vec<&str> = photos.iter().map(|photos| photos.what.as_str()).collect();
             return Err(fails(format!(
-                "no two of {} are of one frame: give the photos of a frame the same name or number, \
-                or their times with --timestamps",
+                "no two of {} are of one frame: give the photos of a frame the same name or \
+                number, or their times with --timestamps",
                 whats.join(", ")
             )));
         }

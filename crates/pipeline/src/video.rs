@@ -19,8 +19,8 @@ use tiepoint_io::video::{
 use tiepoint_io::{is_image, is_unread_image, timestamps};
 
 use crate::fingerprint::hash_file_ends;
+use crate::format::json;
 use crate::output_folder::OutputFolder;
-use crate::records::json;
 use crate::{Error, Event, Photos, Stage, Watch, Workspace, emit};
 use frame_selection::{Candidate, FrameSelector, STRETCH_S, Selected};
 
@@ -133,7 +133,8 @@ fn open_frames(folder: &Path) -> Result<(OutputFolder, Option<Record>), Error> {
     }
 }
 
-/// The video files among the inputs and in input folders without images of any format; empty for photos.
+/// The video files among the inputs and in input folders without images of any format; empty for
+/// photos.
 ///
 /// # Errors
 ///
@@ -187,8 +188,8 @@ fn with_unique_names(mut recordings: Vec<Recording>) -> Result<Vec<Recording>, E
     Ok(recordings)
 }
 
-/// Stages the selected frames of all recordings and their capture times. Returns the file names, and
-/// what is to be noted.
+/// Stages the selected frames of all recordings and their capture times. Returns the file names,
+/// and what is to be noted.
 fn extract(
     recordings: &[Recording],
     frames: &OutputFolder,

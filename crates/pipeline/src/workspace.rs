@@ -9,8 +9,9 @@ use tiepoint_io::database::{Database, read_stage_rows};
 use tiepoint_io::disk;
 
 use crate::file_names::{DENSE, RIG, SPARSE, is_rig_name, model_path};
+use crate::format::json;
 use crate::output_folder::{OutputFolder, output};
-use crate::records::{Progress, Recipe, Records, json};
+use crate::records::{Progress, Recipe, Records};
 use crate::{Error, Event, MatchReport, Report, Stage, Watch, emit};
 
 /// A workspace, locked by this process.

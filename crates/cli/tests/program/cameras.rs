@@ -175,8 +175,8 @@ fn photos_held_upside_down_are_another_camera_with_the_calibration_turned() {
     }
 }
 
-/// Largest mean difference of an image that is encoded anew as JPEG, in grey levels: 1 was measured,
-/// of an image turned by 180° 40.
+/// Largest mean difference of an image that is encoded anew as JPEG, in grey levels: 1 was
+/// measured, of an image turned by 180° 40.
 const MAX_JPEG_DIFFERENCE: f64 = 4.0;
 
 #[test]

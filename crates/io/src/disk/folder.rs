@@ -11,7 +11,8 @@ use std::path::{Component, Path, PathBuf};
 use cap_std::ambient_authority;
 use cap_std::fs::{Dir, Metadata};
 
-use super::{Operation, check_fault, retry_while_denied};
+use super::change::{check_fault, retry_while_denied};
+use super::operation::Operation;
 
 /// An open folder.
 #[derive(Debug)]
@@ -213,7 +214,8 @@ impl Folder {
     }
 }
 
-#[cfg(all(test, unix))]
+#[cfg(test)]
+#[cfg(unix)]
 mod tests {
     use std::fs;
     use std::os::unix::fs::symlink;

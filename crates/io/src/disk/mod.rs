@@ -8,6 +8,7 @@ pub mod faults;
 #[cfg(all(feature = "faults", feature = "database"))]
 pub(crate) mod faulty_vfs;
 
+mod change;
 mod folder;
 mod operation;
 mod paths;
@@ -16,9 +17,9 @@ use std::ffi::OsString;
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
-use std::thread;
-use std::time::{Duration, Instant};
 
+pub(crate) use change::check_fault;
+use change::retry_while_denied;
 pub use folder::Folder;
 pub use operation::Operation;
 pub use paths::folder_of;
@@ -29,46 +30,6 @@ const TEMPORARY_SUFFIX: &str = ".tiepoint-part";
 const MAX_NAME_BYTES: usize = 200;
 /// Longest chain of symbolic links, as in Linux.
 const MAX_LINKS: usize = 40;
-
-/// Duration of the retries of a change, and the pause between two. Virus scanners of Windows hold a
-/// new file open for a short time.
-const RETRY_DURATION: Duration = Duration::from_secs(2);
-const RETRY_PAUSE: Duration = Duration::from_millis(10);
-
-/// Makes a change; retries it while permission is denied if `may_be_denied`. On Windows, a file
-/// that another process has open can be neither renamed nor removed, nor can its folder.
-fn retry_while_denied<T>(
-    may_be_denied: bool,
-    mut change: impl FnMut() -> io::Result<T>,
-) -> io::Result<T> {
-    let start = Instant::now();
-    loop {
-        match change() {
-            Err(cause)
-                if may_be_denied
-                    && cause.kind() == io::ErrorKind::PermissionDenied
-                    && start.elapsed() < RETRY_DURATION =>
-            {
-                thread::sleep(RETRY_PAUSE);
-            }
-            done => return done,
-        }
-    }
-}
-
-/// Called before each change; returns the error that a test asks for.
-#[cfg_attr(
-    not(feature = "faults"),
-    expect(clippy::unnecessary_wraps, reason = "only tests make it fail")
-)]
-#[inline]
-pub(crate) fn check_fault(operation: Operation, path: &Path) -> io::Result<()> {
-    #[cfg(feature = "faults")]
-    faults::check_fault(operation, path)?;
-    #[cfg(not(feature = "faults"))]
-    let _ = (operation, path);
-    Ok(())
-}
 
 /// A file that is being written.
 #[derive(Debug)]
@@ -309,27 +270,5 @@ impl FileId {
         }
         #[cfg(not(unix))]
         path.canonicalize().ok().map(Self)
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn denied_changes_are_retried() {
-        let mut tries = 0;
-        let mut change = |may_be_denied, kind, passes: usize| {
-            tries = 0;
-            retry_while_denied(may_be_denied, || {
-                tries += 1;
-                if tries > passes { Ok(tries) } else { Err(io::Error::from(kind)) }
-            })
-        };
-        let denied = io::ErrorKind::PermissionDenied;
-        assert_eq!(change(true, denied, 3).unwrap(), 4);
-        assert_eq!(change(false, denied, 1).unwrap_err().kind(), denied);
-        let missing = io::ErrorKind::NotFound;
-        assert_eq!(change(true, missing, 1).unwrap_err().kind(), missing);
     }
 }

@@ -200,6 +200,23 @@ fn ids_of_a_model_that_was_read_stay() {
 }
 
 #[test]
+fn two_images_of_one_name_are_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut model = Reconstruction::default();
+    let camera = model.add_camera(camera());
+    for name in ["a.jpg", "b.jpg"] {
+        let id = model.add_image(Image::new(name, camera, vec![]));
+        model.register(id, Rigid3::identity());
+    }
+    write_model(dir.path(), &model, Format::Text).unwrap();
+    let images = dir.path().join("images.txt");
+    let text = fs::read_to_string(&images).unwrap();
+    fs::write(&images, text.replace("b.jpg", "a.jpg")).unwrap();
+    let error = read_model(dir.path()).unwrap_err().to_string();
+    assert!(error.contains("two of its images have the name a.jpg"), "{error}");
+}
+
+#[test]
 fn image_outside_the_frames_of_its_rig_gets_a_frame_of_that_rig() {
     let mut model = Reconstruction::default();
     let (left, right) = (model.add_camera(camera()), model.add_camera(camera()));
@@ -210,8 +227,8 @@ fn image_outside_the_frames_of_its_rig_gets_a_frame_of_that_rig() {
             RigSensor { camera: right, cam_from_rig: Some(cam_from_rig) },
         ],
     });
-    let [a, b, lone] = [left, right, right]
-        .map(|camera| model.add_image(Image::new(format!("{camera:?}"), camera, vec![])));
+    let [a, b, lone] = [("a", left), ("b", right), ("lone", right)]
+        .map(|(name, camera)| model.add_image(Image::new(name, camera, vec![])));
     model.register(a, Rigid3::identity());
     model.register(b, cam_from_rig);
     let elsewhere = Rigid3::from_axis_angle(Vector3::z(), Vector3::z());

@@ -211,7 +211,8 @@ impl FrameSelector {
         let (last_s, next_s) =
             (self.target_times_s[..self.next].last(), self.target_times_s.get(self.next));
         if next_s.is_some_and(|next_s| frame.time_s >= next_s - self.reach_s) {
-            // Frames between two targets or before the first are their own stretch if they fill one.
+            // Frames between two targets or before the first are their own stretch if they fill
+            // one.
             match self.others.is_next(&frame) {
                 true => selected.extend(self.end_of_others()),
                 false => self.others.discard(),
