@@ -32,20 +32,21 @@ fn put(target: &str, name: &str, bytes: &[u8]) {
     write(&corpus.join(target).join(name), bytes);
 }
 
+/// Images of every format: names, widths and heights.
+const IMAGES: [(&str, u32, u32); 7] = [
+    ("a.jpg", 24, 16),
+    ("b.png", 9, 7),
+    ("c.tif", 8, 8),
+    ("d.jpg", 65, 3),
+    ("e.webp", 9, 7),
+    ("f.bmp", 9, 7),
+    ("g.ppm", 9, 7),
+];
+
 fn main() -> Outcome {
     let dir = folder();
     let read = |name: &str| std::fs::read(dir.join(name));
-    for (name, width, height) in
-        [
-            ("a.jpg", 24, 16),
-            ("b.png", 9, 7),
-            ("c.tif", 8, 8),
-            ("d.jpg", 65, 3),
-            ("e.webp", 9, 7),
-            ("f.bmp", 9, 7),
-            ("g.ppm", 9, 7),
-        ]
-    {
+    for (name, width, height) in IMAGES {
         picture(width, height).write(&dir.join(name))?;
         put("images", name, &read(name)?);
     }
