@@ -389,8 +389,11 @@ fn models_of_a_mapper_are_replaced_together() {
     // A model that is not there any more is removed, one that was adjusted in place is replaced.
     let adjust = "bundle_adjuster --input_path {}/out/0 --output_path {}/out/0";
     colmap(dir, adjust).done();
+    // What another command wrote beside them stays.
+    tiepoint_in(dir, "export {}/out/0 --to colmap-text -o {}/out").done();
     colmap(dir, &format!("{mapper} --Mapper.max_num_models 1")).done();
     assert!(bytes("0/images.bin").is_some() && bytes("1/images.bin").is_none());
+    assert!(bytes("images.txt").is_some());
     colmap(dir, &mapper).done();
     assert_eq!(bytes("1/images.bin").as_ref(), Some(&second));
     // A foreign model is refused before the work, whatever its number.

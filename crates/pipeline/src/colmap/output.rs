@@ -124,8 +124,18 @@ impl ModelFolders {
             }
             staged.extend(folder.stage_model(Some(&index), model, format)?);
         }
-        let known = folder.names().filter(|name| folder.exists(name)).map(str::to_owned);
-        let removed: Vec<String> = known.filter(|name| !staged.contains(name)).collect();
+        // Other commands may have written other results into this folder.
+        let of_model = names_with_project(None);
+        let is_of_mapper = |name: &&str| {
+            name.split_once('/').is_some_and(|(index, file)| {
+                index.parse::<usize>().is_ok() && of_model.iter().any(|name| name == file)
+            })
+        };
+        let known = folder.names().filter(is_of_mapper).filter(|name| folder.exists(name));
+        let removed: Vec<String> = known
+            .filter(|name| !staged.iter().any(|staged| staged == name))
+            .map(str::to_owned)
+            .collect();
         folder.publish(&staged, &removed).map(drop)
     }
 }
