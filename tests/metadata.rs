@@ -14,6 +14,7 @@ const CATEGORIES: &[&str] = &[
     "computer-vision",
     "data-structures",
     "encoding",
+    "filesystem",
     "mathematics",
     "multimedia::images",
     "parser-implementations",

@@ -2,9 +2,9 @@
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
-
 use tiepoint_fuzz::{folder, write};
-use tiepoint_io::{ImageFolder, MANIFEST};
+use tiepoint_io::store::MANIFEST;
+use tiepoint_io::ImageFolder;
 
 fuzz_target!(|data: &[u8]| {
     let dir = folder();

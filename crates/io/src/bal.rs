@@ -14,9 +14,10 @@ use tiepoint_scene::{
     Camera, CameraId, Image, ImageId, Keypoint, Observation, Reconstruction, Track,
 };
 
+use crate::atomic::write_atomic;
 use crate::excerpt::Excerpt;
 use crate::text::{Lines, Numbers};
-use crate::{AtomicFile, Error, Result};
+use crate::{Error, Result};
 
 /// A camera in the convention of the file.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -153,7 +154,7 @@ impl Bal {
     ///
     /// If the file cannot be written.
     pub fn write(&self, path: &Path) -> Result<()> {
-        AtomicFile::write_with(path, |file| {
+        write_atomic(path, |file| {
             writeln!(
                 file,
                 "{} {} {}",

@@ -5,7 +5,8 @@ use std::fs::File;
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
-use crate::disk::{self, WrittenFile};
+use tiepoint_store::disk::{self, WrittenFile};
+
 use crate::{Error, Result};
 
 /// Records that are written one after the other, before their number is known.

@@ -5,8 +5,9 @@
 use std::io::Write;
 use std::path::Path;
 
+use crate::Result;
+use crate::atomic::write_atomic;
 use crate::binary::Reader;
-use crate::{AtomicFile, Result};
 
 /// Longest text of a number in the header, in bytes.
 const MAX_DIGITS: usize = 10;
@@ -74,7 +75,7 @@ impl DenseMap {
     ///
     /// If the file cannot be written.
     pub fn write(&self, path: &Path) -> Result<()> {
-        AtomicFile::write_with(path, |file| {
+        write_atomic(path, |file| {
             write!(file, "{}&{}&{}&", self.width, self.height, self.channels)?;
             self.values.iter().try_for_each(|value| file.write_all(&value.to_le_bytes()))
         })

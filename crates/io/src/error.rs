@@ -14,6 +14,9 @@ pub enum Error {
         /// The error of the operating system.
         cause: std::io::Error,
     },
+    /// A file cannot be written, or is not a regular one.
+    #[error(transparent)]
+    Store(#[from] tiepoint_store::Error),
     /// A binary file violates its format.
     #[error("{path}: byte {offset}: {what}")]
     Bytes {

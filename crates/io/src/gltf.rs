@@ -20,8 +20,9 @@ use tiepoint_geometry::numeric::median;
 use tiepoint_geometry::{Rigid3, so3};
 use tiepoint_scene::{Camera, CameraId, Reconstruction};
 
+use crate::atomic::write_atomic;
 use crate::ply::Vertex;
-use crate::{AtomicFile, Error, Result};
+use crate::{Error, Result};
 
 const MAGIC: &[u8; 4] = b"glTF";
 const VERSION: u32 = 2;
@@ -133,7 +134,7 @@ fn write_glb(path: &Path, document: &Document, mut binary: Vec<u8>) -> Result<()
     let total = u32::try_from(total).map_err(|_| {
         Error::content(path, "a glTF file has at most 4 GB: export fewer points, or use ply")
     })?;
-    AtomicFile::write_with(path, |file| {
+    write_atomic(path, |file| {
         file.write_all(MAGIC)?;
         file.write_all(&VERSION.to_le_bytes())?;
         file.write_all(&total.to_le_bytes())?;

@@ -13,8 +13,9 @@ use tiepoint_geometry::Rigid3;
 use tiepoint_geometry::nalgebra::Matrix4;
 use tiepoint_scene::{Camera, ImageId, Reconstruction};
 
+use crate::atomic::write_atomic;
 use crate::nerfstudio::Motion;
-use crate::{AtomicFile, Error, Result};
+use crate::{Error, Result};
 
 /// The poses of an image's first and last row, and the motion between them.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -70,7 +71,7 @@ pub fn write(
         frames.push(Value::Object(frame));
     }
     let root = json!({ "version": 1, "frames": frames });
-    AtomicFile::write_with(path, |file| {
+    write_atomic(path, |file| {
         serde_json::to_writer_pretty(&mut *file, &root)?;
         writeln!(file)
     })

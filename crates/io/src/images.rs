@@ -7,11 +7,10 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
 
 use tiepoint_scene::CameraId;
+use tiepoint_store::{escaped, irregular_kind, is_inside, manifest_files, require_regular_file};
 
 use crate::exif::Exif;
-use crate::manifest::{is_inside, manifest_files};
 use crate::pixels::{self, SizeLimit, Turn};
-use crate::regular_file::{escaped, irregular_kind, require_regular_file};
 use crate::{DEFAULT_MAX_PIXELS, Error, Luma, Result, Rgb};
 
 /// File name extensions of images, in any case.

@@ -12,8 +12,9 @@ use las::point::Format;
 use las::{Builder, Color, Point, PointData, Reader, Transform, Vector, Writer};
 use tiepoint_geometry::nalgebra::Vector3;
 
+use crate::atomic::write_atomic;
 use crate::ply::Vertex;
-use crate::{AtomicFile, Error, Result};
+use crate::{Error, Result};
 
 /// Bytes of points that are read at a time.
 const CHUNK_BYTES: u64 = 1 << 21;
@@ -104,5 +105,5 @@ pub fn write(path: &Path, vertices: &[Vertex]) -> Result<()> {
         writer.write_point(point).map_err(error(path))?;
     }
     let bytes = writer.into_inner().map_err(error(path))?;
-    AtomicFile::write_with(path, |file| file.write_all(bytes.get_ref()))
+    write_atomic(path, |file| file.write_all(bytes.get_ref()))
 }

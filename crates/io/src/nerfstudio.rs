@@ -14,7 +14,8 @@ use tiepoint_geometry::Rigid3;
 use tiepoint_geometry::nalgebra::{Matrix4, Vector3, Vector4};
 use tiepoint_scene::{Camera, ImageId, Reconstruction};
 
-use crate::{AtomicFile, Error, Result};
+use crate::atomic::write_atomic;
+use crate::{Error, Result};
 
 /// Writes the registered images. `image_folder`, the path from the folder of the file to the folder
 /// of the images, is prepended to the names of the images. `cloud` is the path of a PLY file with
@@ -121,7 +122,7 @@ pub fn write_with_motion(
     if let Some(cloud) = cloud {
         root["ply_file_path"] = json!(cloud);
     }
-    AtomicFile::write_with(path, |file| {
+    write_atomic(path, |file| {
         serde_json::to_writer_pretty(&mut *file, &root)?;
         writeln!(file)
     })

@@ -14,8 +14,9 @@ use tiepoint_geometry::nalgebra::{Matrix3, Matrix4, Vector3};
 use tiepoint_geometry::{CameraModelKind, Rigid3};
 use tiepoint_scene::{CameraId, ImageId, Reconstruction};
 
+use crate::atomic::write_atomic;
 use crate::binary::WriteLe;
-use crate::{AtomicFile, Error, Result};
+use crate::{Error, Result};
 
 const MAGIC: &[u8; 4] = b"MVSI";
 const VERSION: u32 = 7;
@@ -57,7 +58,7 @@ pub fn write(path: &Path, model: &Reconstruction, image_folder: &str) -> Result<
         }
     }
     let (platforms, places) = platforms(path, model)?;
-    AtomicFile::write_with(path, |out| {
+    write_atomic(path, |out| {
         out.write_all(MAGIC)?;
         out.u32(VERSION)?;
         out.u32(0)?;

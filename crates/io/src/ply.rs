@@ -7,9 +7,10 @@ use std::path::Path;
 use tiepoint_geometry::nalgebra::Vector3;
 use tiepoint_scene::Reconstruction;
 
+use crate::atomic::write_atomic;
 use crate::binary::Reader;
 use crate::excerpt::Excerpt;
-use crate::{AtomicFile, Error, Result};
+use crate::{Error, Result};
 
 /// A point with its colour.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -50,7 +51,7 @@ pub fn camera_centres(model: &Reconstruction) -> Vec<Vertex> {
 /// If the file cannot be written.
 pub fn write(path: &Path, vertices: &[Vertex]) -> Result<()> {
     let is_far = is_far_from_origin(vertices);
-    AtomicFile::write_with(path, |file| {
+    write_atomic(path, |file| {
         let count = vertices.len() as u64;
         let real = if is_far { "double" } else { "float" };
         file.write_all(header(Some("tiepoint"), count, real, &["x", "y", "z"]).as_bytes())?;

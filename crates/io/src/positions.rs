@@ -4,10 +4,10 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use tiepoint_geometry::nalgebra::Vector3;
+use tiepoint_store::require_regular_file;
 
 use crate::Result;
 use crate::excerpt::Excerpt;
-use crate::regular_file::require_regular_file;
 use crate::text::Lines;
 
 /// Reads the positions of images, by name. Names may contain spaces: the last three words of a line

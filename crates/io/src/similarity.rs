@@ -5,9 +5,11 @@ use std::io::Write;
 use std::path::Path;
 
 use tiepoint_geometry::{Rigid3, Sim3};
+use tiepoint_store::require_regular_file;
 
+use crate::Result;
+use crate::atomic::write_atomic;
 use crate::text::{Lines, Number, Numbers};
-use crate::{AtomicFile, Result, require_regular_file};
 
 /// Reads a similarity.
 ///
@@ -38,7 +40,7 @@ pub fn read(path: &Path) -> Result<Sim3> {
 /// If the file cannot be written.
 pub fn write(path: &Path, new_from_old: &Sim3) -> Result<()> {
     let Sim3 { scale, rotation: q, translation: t } = new_from_old;
-    AtomicFile::write_with(path, |file| {
+    write_atomic(path, |file| {
         writeln!(file, "{}", Numbers(&[*scale, q.w, q.i, q.j, q.k, t.x, t.y, t.z]))
     })
 }

@@ -8,9 +8,9 @@ use std::str::FromStr;
 
 use tiepoint_geometry::Rigid3;
 use tiepoint_geometry::nalgebra::Vector3;
+use tiepoint_store::require_regular_file;
 
 use crate::excerpt::Excerpt;
-use crate::regular_file::require_regular_file;
 use crate::{Error, Result, rotation};
 
 /// Longest line that is read, in bytes. A line of COLMAP holds all keypoints of an image: 2²⁰ of

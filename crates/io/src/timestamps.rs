@@ -4,10 +4,12 @@ use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::Path;
 
+use tiepoint_store::require_regular_file;
+
+use crate::Result;
+use crate::atomic::write_atomic;
 use crate::excerpt::Excerpt;
-use crate::regular_file::require_regular_file;
 use crate::text::{Lines, Number};
-use crate::{AtomicFile, Result};
 
 const HEADER: &str = "image,seconds";
 
@@ -72,7 +74,7 @@ pub fn read(path: &Path) -> Result<BTreeMap<String, f64>> {
 ///
 /// If the file cannot be written.
 pub fn write<'a>(path: &Path, times: impl IntoIterator<Item = (&'a str, f64)>) -> Result<()> {
-    AtomicFile::write_with(path, |file| {
+    write_atomic(path, |file| {
         writeln!(file, "{HEADER}")?;
         times
             .into_iter()

@@ -13,8 +13,9 @@ use std::path::Path;
 use tiepoint_geometry::Rigid3;
 use tiepoint_geometry::nalgebra::{Matrix3x4, Vector3};
 
+use crate::atomic::write_atomic;
 use crate::text::{Lines, Number, Numbers, Words};
-use crate::{AtomicFile, Result, rotation};
+use crate::{Result, rotation};
 
 /// A pose with its time.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -60,7 +61,7 @@ pub fn read_tum(path: &Path) -> Result<Vec<TimedPose>> {
 ///
 /// If the file cannot be written.
 pub fn write_tum(path: &Path, poses: &[TimedPose]) -> Result<()> {
-    AtomicFile::write_with(path, |file| {
+    write_atomic(path, |file| {
         writeln!(file, "# tiepoint: timestamp tx ty tz qx qy qz qw")?;
         poses.iter().try_for_each(|pose| {
             let Rigid3 { rotation: q, translation: t } = pose.cam_from_world.inverse();
@@ -103,7 +104,7 @@ pub(crate) fn matrix_pose(words: &mut Words<'_>) -> Result<Rigid3> {
 ///
 /// If the file cannot be written.
 pub fn write_kitti(path: &Path, cam_from_world: &[Rigid3]) -> Result<()> {
-    AtomicFile::write_with(path, |file| {
+    write_atomic(path, |file| {
         cam_from_world.iter().try_for_each(|pose| {
             // Transposed, because nalgebra stores columns.
             writeln!(file, "{}", Numbers(pose.inverse().to_matrix().transpose().as_slice()))
@@ -154,7 +155,7 @@ fn nanoseconds(time_s: f64) -> Option<i64> {
 /// If the file cannot be written, and if a time is not finite or more than 292 years from its
 /// origin.
 pub fn write_euroc(path: &Path, poses: &[TimedPose]) -> Result<()> {
-    AtomicFile::write_with(path, |file| {
+    write_atomic(path, |file| {
         writeln!(file, "#timestamp [ns],p_x [m],p_y [m],p_z [m],q_w [],q_x [],q_y [],q_z []")?;
         poses.iter().try_for_each(|pose| {
             let Rigid3 { rotation: q, translation: t } = pose.cam_from_world.inverse();

@@ -18,10 +18,10 @@ use crate::exif::seconds_of_date;
 pub use crate::gopro::is_stabilised;
 use crate::images::{VIDEO_EXTENSIONS, has_extension};
 use crate::pixels::{DEFAULT_MAX_PIXELS, SizeLimit};
-use crate::regular_file::require_regular_file;
 use crate::tone_map::ToneMap;
 pub use crate::tone_map::Transfer;
 use crate::{Error, Result, Rgb};
+use tiepoint_store::require_regular_file;
 
 /// Lines of the log of ffmpeg that an error quotes.
 const QUOTED_LINES: usize = 3;

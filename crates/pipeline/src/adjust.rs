@@ -14,10 +14,10 @@ use tiepoint_sfm::geometry::cameras::Radial;
 use tiepoint_sfm::geometry::nalgebra::{Quaternion, SVector, UnitQuaternion, Vector2, Vector3};
 use tiepoint_sfm::geometry::{Loss, Rigid3, so3};
 use tiepoint_sfm::{self as sfm, AdjustOptions, RefineIntrinsics, Scope};
+use tiepoint_store::write_file;
 
 use crate::export::{model_files, write_colmap};
 use crate::model_location::ModelLocation;
-use crate::output_file::write_file;
 use crate::{Error, Event, Watch, model_folder};
 
 /// Summary of a bundle adjustment.
@@ -163,7 +163,7 @@ fn adjust_bal(
             };
         }
         bal.points = points.iter().map(|point| problem.get(*point)).collect();
-        write_file(output, [path], None, |output| Ok(bal.write(output)?))?;
+        write_file(output, [path], None, |output| Ok::<_, Error>(bal.write(output)?))?;
     }
     Ok(report)
 }

@@ -25,8 +25,8 @@ use self::masks::Masks;
 use crate::dense_options::DenseOptions;
 use crate::file_names::{DENSE, DENSE_CLOUD, depth_map_path, model_path};
 use crate::model_photos::{check_sizes, photos_of, write_undistorted};
-use crate::output_folder::model_names;
 use crate::records::{Progress, Recipe};
+use crate::staged_model::{model_names, stage_model};
 use crate::{DenseReport, DenseStep, Error, Event, Stage, Watch, Workspace, emit, option_keys};
 
 const SPARSE: &str = "dense/sparse";
@@ -167,7 +167,7 @@ fn remove_old_results(workspace: &mut Workspace, model: &Reconstruction) -> Resu
     names.extend(
         [DENSE_CLOUD, VISIBILITY, STEREO_LIST, FUSION_LIST, DEPTH_SCALE].map(str::to_owned),
     );
-    workspace.folder.refuse_foreign(names.iter().map(String::as_str))?;
+    workspace.folder.ensure_writable(names.iter().map(String::as_str))?;
     let old = workspace.folder.names().filter(|name| Path::new(name).starts_with(DENSE));
     let old: Vec<String> = old.map(str::to_owned).collect();
     workspace.publish(Vec::new(), &old, |_| {})
@@ -209,13 +209,14 @@ impl<'a> Run<'a> {
 
     /// Whether a file has still to be made.
     fn is_missing(&self, name: &str) -> Result<bool, Error> {
-        self.workspace.folder.is_unmodified(name).map(|is_there| !is_there)
+        Ok(!self.workspace.folder.is_unmodified(name)?)
     }
 
     fn is_undistorted(&self, index: usize) -> Result<bool, Error> {
         let (image, mask) = (image_file(self.name(index)), mask_file(self.name(index)));
-        let has_lost_mask =
-            self.masks.is_some() && self.workspace.folder.knows(&mask) && self.is_missing(&mask)?;
+        let has_lost_mask = self.masks.is_some()
+            && self.workspace.folder.contains(&mask)
+            && self.is_missing(&mask)?;
         Ok(!has_lost_mask && !self.is_missing(&image)?)
     }
 
@@ -250,13 +251,14 @@ impl<'a> Run<'a> {
     }
 
     fn publish(&mut self, names: &[String]) -> Result<(), Error> {
-        self.workspace.folder.publish(names, &[]).map(drop)
+        self.workspace.folder.publish(names, &[])?;
+        Ok(())
     }
 
     /// Writes the undistorted model and the lists of images.
     fn write_model(&mut self) -> Result<(), Error> {
         let folder = &self.workspace.folder;
-        let mut names = folder.stage_model(Some(SPARSE), &self.model, Format::Binary)?;
+        let mut names = stage_model(&folder, Some(SPARSE), &self.model, Format::Binary)?;
         let (mut stereo, mut fusion) = (String::new(), String::new());
         for problem in &self.problems {
             let name = &self.model.image(problem.image).name;

@@ -15,28 +15,9 @@ fn format_name(format: Option<u64>) -> String {
 /// Results of earlier stages stay on disk.
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
-    /// A file or folder cannot be written.
-    #[error("cannot write {path}: {cause}; choose a folder that can be written")]
-    Output {
-        /// The file or folder.
-        path: PathBuf,
-        /// The error of the operating system.
-        cause: std::io::Error,
-    },
-    /// An existing file or folder cannot be read.
-    #[error("cannot read {path}: {cause}")]
-    Unreadable {
-        /// The file or folder.
-        path: PathBuf,
-        /// The error of the operating system.
-        cause: std::io::Error,
-    },
-    /// Another process has locked the folder.
-    #[error("{path} is in use by another run: wait for it to end, or choose another workspace")]
-    InUse {
-        /// The workspace.
-        path: PathBuf,
-    },
+    /// A file of the results cannot be read or written, or is somebody else's.
+    #[error(transparent)]
+    Store(#[from] tiepoint_store::Error),
     /// The folder is not a workspace.
     #[error("{path} is not a workspace: create one with `tiepoint features INPUT -o {path}`")]
     NoWorkspace {
@@ -95,42 +76,6 @@ pub enum Error {
         /// The defect.
         cause: Box<tiepoint_io::Error>,
     },
-    /// A result would replace a file that this program did not write, or that was changed since.
-    #[error(
-        "{path} exists, and this program did not make it or it was changed since: move it away, \
-        or choose another place for the result"
-    )]
-    ForeignFile {
-        /// The file.
-        path: PathBuf,
-    },
-    /// An interrupted run has committed results that are not all in their final places yet.
-    #[error(
-        "an earlier run was interrupted while it moved its results into {path}: give the \
-        command of that run again to complete it"
-    )]
-    Unfinished {
-        /// The folder.
-        path: PathBuf,
-    },
-    /// A part of a name in an output folder is a symbolic link.
-    #[error(
-        "{path} is a symbolic link inside a folder that results are written to, and this program \
-        does not write through it: remove the link, or choose another folder with -o"
-    )]
-    LinkInFolder {
-        /// The link.
-        path: PathBuf,
-    },
-    /// The result would overwrite an input.
-    #[error(
-        "{path} is read by this command, so the result cannot be written there: choose another \
-        place"
-    )]
-    IsInput {
-        /// The file.
-        path: PathBuf,
-    },
     /// No two registered images of the model share points, so that there is nothing to match.
     #[error(
         "no two of the {images} registered images of {path} share enough points for a depth map: \
@@ -149,14 +94,6 @@ pub enum Error {
         path: PathBuf,
         /// The reason.
         cause: tiepoint_dense::Error,
-    },
-    /// The path of an image leads out of the output folder.
-    #[error("the name {name:?} leads out of {path}: rename the image")]
-    NotInside {
-        /// The output folder.
-        path: PathBuf,
-        /// Name of the image.
-        name: String,
     },
     /// The models were computed from features or matches that have been replaced.
     #[error(
@@ -645,6 +582,18 @@ pub enum Error {
 }
 
 impl Error {
+    /// Converts an error of the operating system for a file or folder that is written.
+    pub(crate) fn output(path: &Path) -> impl FnOnce(std::io::Error) -> Self + use<> {
+        let error = tiepoint_store::Error::output(path);
+        move |cause| Self::Store(error(cause))
+    }
+
+    /// Converts an error of the operating system for a file or folder that is read.
+    pub(crate) fn unreadable(path: &Path) -> impl FnOnce(std::io::Error) -> Self + use<> {
+        let error = tiepoint_store::Error::unreadable(path);
+        move |cause| Self::Store(error(cause))
+    }
+
     /// Converts an error of the adjustment of the model at `path`.
     pub(crate) fn adjusting(path: &Path) -> impl Fn(tiepoint_sfm::Error) -> Self {
         move |cause| match cause {

@@ -11,10 +11,10 @@ use tiepoint_eval::{
 };
 use tiepoint_io::{colmap, strecha, timestamps, trajectory};
 use tiepoint_sfm::scene::{Image, ImageId, Reconstruction};
+use tiepoint_store::{Error as StoreError, OutputFolder};
 
 use crate::image_names::{first_folder, number};
 use crate::model_location::ModelLocation;
-use crate::output_folder::OutputFolder;
 use crate::workspace::{current_records, is_workspace};
 use crate::{Error, Stage};
 
@@ -154,7 +154,7 @@ struct TruePose {
 /// from features or matches that have been replaced.
 pub fn model_folder(path: &Path) -> Result<PathBuf, Error> {
     if OutputFolder::is_unfinished(path) {
-        return Err(Error::Unfinished { path: path.to_owned() });
+        return Err(StoreError::Unfinished { path: path.to_owned() }.into());
     }
     let largest = path.join("sparse/0");
     if !largest.is_dir() {

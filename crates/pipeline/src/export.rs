@@ -9,27 +9,27 @@ use serde::Serialize;
 use tiepoint_dense::undistort::{UndistortOptions, Undistortion, undistort_model};
 use tiepoint_io::bal::Bal;
 use tiepoint_io::colmap::{Format, read_model};
-use tiepoint_io::disk::{self, FileId};
 use tiepoint_io::nerfstudio::{self, Motion};
 use tiepoint_io::trajectory::{self, TimedPose};
-use tiepoint_io::{AtomicFile, Exif, Rgb, gltf, gsplat, openmvs, ply, timestamps};
+use tiepoint_io::{Exif, Rgb, gltf, gsplat, openmvs, ply, timestamps};
 use tiepoint_sfm::geometry::Rigid3;
 use tiepoint_sfm::natural_order;
 use tiepoint_sfm::scene::{Image, ImageId, Reconstruction};
+use tiepoint_store::disk::{self, FileId};
+use tiepoint_store::{AtomicFile, Error as StoreError, OutputFolder, write_file};
 
 use crate::colors::decoder_bytes;
 use crate::evaluate::model_folder;
+use crate::file_marks::{COMMENT, COMMENT_MARK, GLTF_MARK, LAS_MARK, PLY_MARK};
 use crate::image_names::first_folder;
-use crate::kalibr;
 use crate::memory::budget_bytes;
 use crate::model_location::ModelLocation;
 use crate::model_photos::{check_sizes, photos_of, write_undistorted};
 use crate::ordered::for_each_within_budget;
-use crate::output_file::{COMMENT_MARK, GLTF_MARK, LAS_MARK, PLY_MARK, write_file};
-use crate::output_folder::{OutputFolder, model_names, output, renamed};
 use crate::rigid::{RigidReport, rigid_model};
+use crate::staged_model::{model_names, renamed, stage_model};
 use crate::workspace::{REPORT, is_workspace, refuse_workspace};
-use crate::{Error, Report, rolling_shutter};
+use crate::{Error, Report, kalibr, rolling_shutter};
 
 /// An export format.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -197,7 +197,7 @@ fn write_as(
         ExportFormat::Gsplat => in_place = export_gsplat(from, &folder, model, to)?,
         ExportFormat::Kalibr => {
             let (text, cameras) = kalibr::camchain(model, &ModelLocation::of(&folder).rig())?;
-            let text = format!("{COMMENT_MARK}\n{text}");
+            let text = format!("{COMMENT}\n{text}");
             file(Some(COMMENT_MARK), &|to| {
                 Ok(AtomicFile::write_with(to, |out| out.write_all(text.as_bytes()))?)
             })?;
@@ -211,7 +211,7 @@ fn write_as(
             let cloud = dense.ok_or_else(|| Error::NoDenseCloud { path: from.model.to_owned() })?;
             write_file(to, [cloud], Some(LAS_MARK), |to| {
                 points = write_las(cloud, to)?;
-                Ok(())
+                Ok::<_, Error>(())
             })?;
             poses = 0;
         }
@@ -222,7 +222,7 @@ fn write_as(
             let inputs = inputs.iter().map(PathBuf::as_path).chain(dense);
             write_file(to, inputs, Some(GLTF_MARK), |to| {
                 points = gltf::write(to, model, &clouds)?;
-                Ok(())
+                Ok::<_, Error>(())
             })?;
         }
         ExportFormat::Kitti => {
@@ -293,7 +293,7 @@ pub(crate) fn refuse_foreign_model(to: &Path, inputs: &[PathBuf]) -> Result<(), 
 fn model_output(to: &Path, inputs: &[PathBuf]) -> Result<OutputFolder, Error> {
     let mut folder = OutputFolder::open(to)?;
     folder.protect(inputs.iter().map(PathBuf::as_path));
-    folder.refuse_foreign(model_names(None).iter().map(String::as_str))?;
+    folder.ensure_writable(model_names(None).iter().map(String::as_str))?;
     refuse_workspace(to)?;
     Ok(folder)
 }
@@ -311,10 +311,11 @@ pub(crate) fn write_colmap(
 ) -> Result<(), Error> {
     let folder = &mut model_output(to, inputs)?;
     let names = model_names(None);
-    let staged = folder.stage_model(None, model, format)?;
+    let staged = stage_model(folder, None, model, format)?;
     // Readers might prefer files of the other format.
     let removed: Vec<String> = names.into_iter().filter(|name| !staged.contains(name)).collect();
-    folder.publish(&staged, &removed).map(drop)
+    folder.publish(&staged, &removed)?;
+    Ok(())
 }
 
 /// Refuses to write `to/sparse/0` where that would hide the model that is read: commands look there
@@ -326,7 +327,7 @@ pub(crate) fn write_colmap(
 pub(crate) fn refuse_shadow(from: &Path, model_folder: &Path, to: &Path) -> Result<(), Error> {
     let there = FileId::of(to);
     match there.is_some() && [from, model_folder].map(FileId::of).contains(&there) {
-        true => Err(Error::IsInput { path: to.to_owned() }),
+        true => Err(StoreError::IsInput { path: to.to_owned() }.into()),
         false => Ok(()),
     }
 }
@@ -357,7 +358,7 @@ fn export_openmvs(from: &ExportSource, model: &Reconstruction, to: &Path) -> Res
     folder.protect(photos.iter().map(|(_, path)| path.as_path()));
     let mut names: Vec<String> = photos.iter().map(|(image, _)| image_name(image)).collect();
     names.push(SCENE.to_owned());
-    folder.refuse_foreign(names.iter().map(String::as_str))?;
+    folder.ensure_writable(names.iter().map(String::as_str))?;
     let undistorted = undistort_model(model, &UndistortOptions::default())
         .map_err(|cause| Error::Dense { path: from.model.to_owned(), cause })?;
     let write = |(image, path): &(&Image, PathBuf)| -> Result<(), Error> {
@@ -369,7 +370,8 @@ fn export_openmvs(from: &ExportSource, model: &Reconstruction, to: &Path) -> Res
     let bytes = |(image, _): &(&Image, PathBuf)| 2 * decoder_bytes(model.camera(image.camera));
     for_each_within_budget(budget_bytes(), bytes, &photos, write, |_, written| written)?;
     openmvs::write(&folder.stage(SCENE)?, &undistorted, IMAGES)?;
-    folder.publish(&names, &[]).map(drop)
+    folder.publish(&names, &[])?;
+    Ok(())
 }
 
 /// Writes `transforms.json`, the cloud, and copies of the photos: nerfstudio supports distortion.
@@ -385,7 +387,7 @@ fn export_nerfstudio(
     const TRANSFORMS: &str = "transforms.json";
     if is_workspace(to) {
         // The points.ply of a workspace is the cloud of its model.
-        return Err(Error::IsInput { path: to.join(CLOUD) });
+        return Err(StoreError::IsInput { path: to.join(CLOUD) }.into());
     }
     let names = [CLOUD, TRANSFORMS].map(str::to_owned);
     with_photos(from, model, to, &names, &[], |folder| {
@@ -420,7 +422,7 @@ fn export_gsplat(
         let staged = folder.stage(ROWS)?;
         gsplat::write(&staged, &model, IMAGES, &rows)
             .map_err(|error| renamed(error, &staged, &to.join(ROWS)))?;
-        let mut staged = folder.stage_model(Some(SPARSE), &model, Format::Binary)?;
+        let mut staged = stage_model(&folder, Some(SPARSE), &model, Format::Binary)?;
         staged.push(ROWS.to_owned());
         Ok(staged)
     })
@@ -453,13 +455,13 @@ fn with_photos(
         photos.iter().filter(|(image, path)| !is_in_place(image, path)).collect();
     folder.protect(photos.iter().map(|(_, path)| path.as_path()));
     folder.protect(inputs.iter().map(PathBuf::as_path));
-    folder.refuse_foreign(names.iter().map(String::as_str))?;
+    folder.ensure_writable(names.iter().map(String::as_str))?;
     let copy = |(image, path): &&(&Image, PathBuf)| -> Result<(), Error> {
         let target = folder.stage(&image_name(image))?;
         if is_turned(path) {
             return Ok(Rgb::read(path)?.write(&target)?);
         }
-        disk::copy_new(path, &target).map_err(output(&to.join(image_name(image))))
+        disk::copy_new(path, &target).map_err(Error::output(&to.join(image_name(image))))
     };
     let bytes = |(image, _): &&(&Image, PathBuf)| decoder_bytes(model.camera(image.camera));
     for_each_within_budget(budget_bytes(), bytes, &copied, copy, |_, copied| copied)?;

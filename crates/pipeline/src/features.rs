@@ -11,6 +11,7 @@ use tiepoint_io::features::{self as sift, Features};
 use tiepoint_io::{DEFAULT_MAX_PIXELS, ImageInfo, timestamps};
 use tiepoint_sfm::geometry::numeric::median;
 use tiepoint_sfm::scene::{Camera, CameraId, Image, ImageId};
+use tiepoint_store::Error as StoreError;
 
 use crate::calibration::{CalibrationSource, Calibrations};
 use crate::cameras::{Calibration, FoundCameras, firsts};
@@ -118,7 +119,7 @@ pub fn extract_features(
     // Foreign files are detected before anything is replaced.
     let staged = workspace.folder.stage(TIMESTAMPS)?;
     timestamps::write(&staged, times.iter().map(|(name, time_s)| (*name, *time_s)))?;
-    workspace.folder.refuse_unless_same(TIMESTAMPS)?;
+    workspace.folder.ensure_writable_or_equal(TIMESTAMPS)?;
     let mut database = open(workspace, photos, &usable, &cameras, progress, redo)?;
     workspace.publish(vec![TIMESTAMPS.to_owned()], &[], |_| {})?;
     if !workspace.folder.is_unmodified(TIMESTAMPS)? {
@@ -308,8 +309,8 @@ fn open(
                 }
             }
             Ok(Some(_)) => {}
-            Ok(None) => return Err(Error::ForeignFile { path }),
-            Err(_) if !is_sqlite(&path) => return Err(Error::ForeignFile { path }),
+            Ok(None) => return Err(StoreError::ForeignFile { path }.into()),
+            Err(_) if !is_sqlite(&path) => return Err(StoreError::ForeignFile { path }.into()),
             Err(cause) if redo != Some(Stage::Features) => {
                 return Err(Error::BrokenDatabase { path, cause: Box::new(cause) });
             }

@@ -10,7 +10,8 @@ use std::io::{self, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
-use tiepoint_io::{ImageFolder, require_regular_file};
+use tiepoint_io::ImageFolder;
+use tiepoint_store::require_regular_file;
 
 use crate::Error;
 
@@ -40,8 +41,7 @@ pub(crate) fn of_photo(path: &Path) -> io::Result<String> {
 /// Fingerprint of a small file, of its whole content.
 pub(crate) fn hash_file(path: &Path) -> Result<String, Error> {
     require_regular_file(path)?;
-    let bytes =
-        std::fs::read(path).map_err(|cause| Error::Unreadable { path: path.to_owned(), cause })?;
+    let bytes = std::fs::read(path).map_err(Error::unreadable(path))?;
     Ok(blake3::hash(&bytes).to_hex().to_string())
 }
 
@@ -50,9 +50,7 @@ pub(crate) fn hash_file_ends(paths: &[PathBuf]) -> Result<String, Error> {
     let mut all = blake3::Hasher::new();
     for path in paths {
         require_regular_file(path)?;
-        all.update(
-            &hash_ends(path).map_err(|cause| Error::Unreadable { path: path.clone(), cause })?,
-        );
+        all.update(&hash_ends(path).map_err(Error::unreadable(&path))?);
     }
     Ok(all.finalize().to_hex().to_string())
 }
@@ -63,7 +61,7 @@ pub(crate) fn hash_files(paths: &[PathBuf]) -> Result<String, Error> {
     for path in paths {
         require_regular_file(path)?;
         let hash = hash_contents(path);
-        all.update(&hash.map_err(|cause| Error::Unreadable { path: path.clone(), cause })?);
+        all.update(&hash.map_err(Error::unreadable(&path))?);
     }
     Ok(all.finalize().to_hex().to_string())
 }

@@ -16,6 +16,7 @@ use tiepoint_sfm::scene::{
     Camera, CameraId, Image, ImageId, ImagePair, Match, TwoView, TwoViewKind,
 };
 use tiepoint_sfm::{ImageObservations, VerifyOptions, verify_pair};
+use tiepoint_store::Error as StoreError;
 
 use crate::fingerprint::hash_files;
 use crate::keypoints::keypoint;
@@ -51,9 +52,7 @@ pub fn import_features(
     let fingerprint = hash_files(&files_of(file))?;
     let recipe =
         Recipe::new(fingerprint.clone(), option_keys::database_options(&fingerprint, has_pairs));
-    let absolute = |path: &PathBuf| {
-        path.canonicalize().map_err(|cause| Error::Unreadable { path: path.clone(), cause })
-    };
+    let absolute = |path: &PathBuf| path.canonicalize().map_err(Error::unreadable(&path));
     let inputs: Vec<PathBuf> = inputs.iter().map(absolute).collect::<Result<_, _>>()?;
     let inputs_before = std::mem::replace(&mut workspace.records.inputs, inputs);
     workspace.folder.protect([file]);
@@ -66,7 +65,7 @@ pub fn import_features(
     let start = Instant::now();
     let path = workspace.database();
     if path.is_file() && !matches!(read_stage_rows(&path), Ok(Some(_))) {
-        return Err(Error::ForeignFile { path });
+        return Err(StoreError::ForeignFile { path }.into());
     }
     let rows = workspace.records.rows();
     let mut database =

@@ -7,10 +7,10 @@
 use std::fmt::Write;
 use std::path::Path;
 
-use tiepoint_io::require_regular_file;
 use tiepoint_sfm::geometry::nalgebra::{Matrix4, Vector2};
 use tiepoint_sfm::geometry::{CameraModelKind, Intrinsics, Rigid3};
 use tiepoint_sfm::scene::{Camera, Reconstruction};
+use tiepoint_store::require_regular_file;
 
 use crate::image_names::camera_of_folder;
 use crate::{Error, RigCamera, RigFile};

@@ -17,6 +17,7 @@ mod event;
 mod export;
 mod extractors;
 mod features;
+mod file_marks;
 mod file_names;
 mod fingerprint;
 mod foreign_database;
@@ -37,8 +38,7 @@ mod model_photos;
 mod model_tools;
 mod option_keys;
 mod ordered;
-mod output_file;
-mod output_folder;
+mod page_file;
 mod pair_choice;
 mod photos;
 mod reconstruct;
@@ -54,6 +54,7 @@ mod rolling_shutter;
 mod scale;
 mod sequences;
 mod stage;
+mod staged_model;
 mod surface;
 mod table;
 mod undistort;
@@ -91,7 +92,7 @@ pub use model_tools::{
     AlignTo, AlignmentInfo, CameraInfo, CropTo, MergedInfo, ModelChange, ModelInfo, SimilarityInfo,
     align_model, crop_model, merge_models, model_info, transform_model,
 };
-pub use output_file::{refuse_foreign_page, write_page};
+pub use page_file::{refuse_foreign_page, write_page};
 pub use pair_choice::{PairChoice, choose_pairs};
 pub use photos::Photos;
 pub use reconstruct::{Options, reconstruct};
@@ -112,6 +113,7 @@ pub use tiepoint_dense::undistort::UndistortOptions;
 pub use tiepoint_eval as eval;
 pub use tiepoint_io as io;
 pub use tiepoint_sfm as sfm;
+pub use tiepoint_store as store;
 pub use undistort::{UndistortFolderOptions, UndistortLayout, Undistorted, undistort};
 pub use video::{OpenedInput, open_input};
 pub use view::{

@@ -20,6 +20,7 @@ use tiepoint_sfm::{
     FilterOptions, ImageObservations, Localization, QueryCamera, RegisterOptions, VerifyOptions,
     localize_image, transfer_model, verify_pair,
 };
+use tiepoint_store::Error as StoreError;
 
 use crate::calibration::{CalibrationSource, Calibrations};
 use crate::cameras::Calibration;
@@ -216,7 +217,7 @@ fn refuse_inside(output: &Path, map: &ReferenceModel) -> Result<(), Error> {
     let folders = [Some(map.folder.as_path()), map.database_file.parent()];
     let is_input = |folder: &Path| folder.canonicalize().is_ok_and(|folder| folder == output);
     if folders.into_iter().flatten().any(is_input) {
-        return Err(Error::IsInput { path: output });
+        return Err(StoreError::IsInput { path: output }.into());
     }
     Ok(())
 }

@@ -20,12 +20,12 @@ use crate::colors::color_points;
 use crate::database_scene::read_scene;
 use crate::file_names::{SPARSE, is_rig_name, model_path, rig_name};
 use crate::input_model::{InputModel, OpenedModel};
-use crate::output_folder::model_names;
 use crate::records::{Progress, Recipe};
 use crate::rig_calibration::known_rigs;
 use crate::rig_file::RigFile;
 use crate::rig_hints::why_no_rig;
 use crate::scale::{ScaleReport, scale_to_baseline};
+use crate::staged_model::{model_names, stage_model};
 use crate::workspace::{POINTS, rigs_in};
 use crate::{
     Error, Event, MapReport, ModelReport, RigReport, Size, Stage, Watch, Workspace, emit,
@@ -103,7 +103,7 @@ pub fn map(
     let start = Instant::now();
     // Foreign files are detected before mapping. Old models stay until the new ones are complete.
     let replaced = replaced_names(workspace);
-    workspace.folder.refuse_foreign(replaced.iter().map(String::as_str))?;
+    workspace.folder.ensure_writable(replaced.iter().map(String::as_str))?;
     let mut scene = load_scene(workspace)?;
     if let Some(model) = &input_model {
         apply_input_model(&mut scene, model, refine.is_some(), watch)?;
@@ -459,7 +459,8 @@ fn stage_models(workspace: &Workspace, models: &[MappedModel]) -> Result<Vec<Str
             workspace.folder.stage_bytes(&name, &rig.to_json())?;
             names.push(name);
         }
-        names.extend(workspace.folder.stage_model(
+        names.extend(stage_model(
+            &workspace.folder,
             Some(&model_path(index)),
             reconstruction,
             Format::Binary,
@@ -561,6 +562,6 @@ mod tests {
                 .iter()
                 .all(|name| replaced.iter().any(|other| other == name))
         );
-        assert!(workspace.folder.refuse_foreign(replaced.iter().map(String::as_str)).is_err());
+        assert!(workspace.folder.ensure_writable(replaced.iter().map(String::as_str)).is_err());
     }
 }

@@ -10,9 +10,9 @@ use tiepoint_sfm::geometry::nalgebra::Vector3;
 use tiepoint_sfm::geometry::{RansacOptions, Sim3, estimate};
 use tiepoint_sfm::scene::Reconstruction;
 use tiepoint_sfm::{BoundingBox, align_models, crop, merge_model};
+use tiepoint_store::write_file;
 
 use crate::export::{model_files, refuse_foreign_model, write_colmap};
-use crate::output_file::write_file;
 use crate::{Error, model_folder};
 
 /// A camera of a model.
@@ -286,7 +286,7 @@ pub fn align_model(
         // Both results are refused before either is written.
         refuse_foreign_model(to, &inputs)?;
         write_file(file, inputs.iter().map(PathBuf::as_path), None, |file| {
-            Ok(similarity::write(file, &new_from_old)?)
+            Ok::<_, Error>(similarity::write(file, &new_from_old)?)
         })?;
         inputs.push(file.to_owned());
     }

@@ -43,9 +43,7 @@ impl Photos {
     pub fn open(inputs: &[PathBuf], masks: Option<&Path>) -> Result<Self, Error> {
         let folder = ImageFolder::open(inputs, masks)?;
         // Absolute, so that a later run in another working directory finds them.
-        let absolute = |path: &PathBuf| {
-            path.canonicalize().map_err(|cause| Error::Unreadable { path: path.clone(), cause })
-        };
+        let absolute = |path: &PathBuf| path.canonicalize().map_err(Error::unreadable(&path));
         let photos = Self {
             notes: folder.notes().to_vec(),
             folder,

@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 use tiepoint_io::database::StageRow;
-use tiepoint_io::require_regular_file;
+use tiepoint_store::{Error as StoreError, require_regular_file};
 
 use crate::calibration_facts::FOUND;
 use crate::option_keys::{NONE, difference, shown};
@@ -134,7 +134,9 @@ impl Records {
         require_regular_file(path)?;
         let text = match std::fs::read(path) {
             Err(cause) if cause.kind() == std::io::ErrorKind::NotFound => return Ok(None),
-            Err(cause) => return Err(Error::Unreadable { path: path.to_owned(), cause }),
+            Err(cause) => {
+                return Err(StoreError::Unreadable { path: path.to_owned(), cause }.into());
+            }
             Ok(text) => text,
         };
         format::from_json(path, &text, broken).map(Some)

@@ -3,8 +3,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 use tiepoint_sfm::RollingShutter;
 use tiepoint_sfm::scene::{Camera, CameraId, Reconstruction};
-
-use tiepoint_io::require_regular_file;
+use tiepoint_store::{Error as StoreError, require_regular_file};
 
 use crate::file_names::DENSE_CLOUD;
 use crate::{Error, RigReport, ScaleReport, Stage};
@@ -234,7 +233,7 @@ impl Report {
             Err(cause) if cause.kind() == std::io::ErrorKind::NotFound => {
                 Ok(Self { version: env!("CARGO_PKG_VERSION").to_owned(), ..Self::default() })
             }
-            Err(cause) => Err(Error::Unreadable { path: path.to_owned(), cause }),
+            Err(cause) => Err(StoreError::Unreadable { path: path.to_owned(), cause }.into()),
             Ok(text) => serde_json::from_slice(&text)
                 .map_err(|error| Error::Broken { path: path.to_owned(), what: error.to_string() }),
         }

@@ -138,8 +138,7 @@ fn known_sensors(
 ) -> Result<(Sensors, BTreeSet<ImageId>), Error> {
     let rig = location.rig();
     let broken = |what: String| Error::Broken { path: rig.clone(), what };
-    let text =
-        std::fs::read(&rig).map_err(|cause| Error::Unreadable { path: rig.clone(), cause })?;
+    let text = std::fs::read(&rig).map_err(Error::unreadable(&rig))?;
     let file = RigFile::from_json(&rig, &text)?;
     let find = |name: &str| {
         let camera = camera_of_folder(model, name);

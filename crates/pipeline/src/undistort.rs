@@ -9,16 +9,17 @@ use tiepoint_dense::undistort::{
     UndistortOptions, Undistortion, is_too_wide_for_pinhole, undistort_model,
 };
 use tiepoint_io::colmap::{Format, read_model};
-use tiepoint_io::{Exif, Luma, disk};
+use tiepoint_io::{Exif, Luma};
 use tiepoint_sfm::scene::{Image, Reconstruction};
+use tiepoint_store::{OutputFolder, disk};
 
 use crate::colors::decoder_bytes;
 use crate::export::{model_files, refuse_shadow};
 use crate::memory::budget_bytes;
 use crate::model_photos::{ModelPhotos, undistorted_mask};
 use crate::ordered::for_each_within_budget;
-use crate::output_folder::{OutputFolder, model_names, output as output_error};
 use crate::rolling_shutter::restore_detected_keypoints;
+use crate::staged_model::{model_names, stage_model};
 use crate::workspace::refuse_workspace;
 use crate::{Error, Event, Watch, emit, model_folder};
 
@@ -134,7 +135,7 @@ pub fn undistort(
     names.extend(lists.iter().map(|(name, _)| (*name).to_owned()));
     let sparse = options.layout.sparse();
     let of_model = model_names(Some(sparse));
-    output.refuse_foreign(names.iter().chain(&of_model).map(String::as_str))?;
+    output.ensure_writable(names.iter().chain(&of_model).map(String::as_str))?;
     let mut done = 0;
     for_each_within_budget(
         budget_bytes(),
@@ -152,13 +153,13 @@ pub fn undistort(
     for (name, text) in &lists {
         output.stage_bytes(name, text.as_bytes())?;
     }
-    names.extend(output.stage_model(Some(sparse), &undistorted, Format::Binary)?);
+    names.extend(stage_model(&output, Some(sparse), &undistorted, Format::Binary)?);
     let is_left = |name: &&str| is_result(name, sparse) && !names.iter().any(|new| new == name);
     let removed: Vec<String> = output.names().filter(is_left).map(str::to_owned).collect();
     output.publish(&names, &removed)?;
     if options.layout == UndistortLayout::Colmap {
         for folder in STEREO_FOLDERS.map(|name| to.join(name)) {
-            disk::create_folders(&folder).map_err(output_error(&folder))?;
+            disk::create_folders(&folder).map_err(Error::output(&folder))?;
         }
     }
     let observations =
@@ -216,7 +217,7 @@ impl Task<'_> {
             self.options.layout == UndistortLayout::Colmap || Exif::read(photo)?.orientation == 1;
         let is_copied = undistortion.is_identity() && is_upright;
         if is_copied {
-            disk::copy_new(photo, &target(1)?).map_err(output_error(&target(1)?))?;
+            disk::copy_new(photo, &target(1)?).map_err(Error::output(&target(1)?))?;
         }
         if !is_copied || self.factors().count() > 1 {
             let rgb = self.photos.undistorted(&image.name, &undistortion)?;

@@ -17,10 +17,10 @@ use tiepoint_io::video::{
     Recording, Reduction, Transfer, VideoReader, is_stabilised, is_video, read_sound, recordings,
 };
 use tiepoint_io::{is_image, is_unread_image, timestamps};
+use tiepoint_store::{Error as StoreError, OutputFolder};
 
 use crate::fingerprint::hash_file_ends;
 use crate::format::json;
-use crate::output_folder::OutputFolder;
 use crate::{Error, Event, Photos, Stage, Watch, Workspace, emit};
 use frame_selection::{Candidate, FrameSelector, STRETCH_S, Selected};
 
@@ -96,7 +96,7 @@ pub fn open_input(
         frames.protect(
             recordings.iter().flat_map(|recording| &recording.chapters).map(PathBuf::as_path),
         );
-        frames.refuse_foreign(earlier.iter().map(String::as_str))?;
+        frames.ensure_writable(earlier.iter().map(String::as_str))?;
         let (mut names, notes) = extract(&recordings, &frames, every, watch)?;
         let record = Record { every, videos, notes: notes.clone() };
         frames.stage_bytes(RECORD, &json(&record))?;
@@ -126,10 +126,10 @@ fn open_frames(folder: &Path) -> Result<(OutputFolder, Option<Record>), Error> {
         return Ok((OutputFolder::open(folder)?, read()));
     }
     let entries = fs::read_dir(folder);
-    let entries = entries.map_err(|cause| Error::Unreadable { path: folder.to_owned(), cause });
+    let entries = entries.map_err(Error::unreadable(folder));
     match entries?.next() {
         None => Ok((OutputFolder::open(folder)?, None)),
-        Some(_) => Err(Error::ForeignFile { path: folder.to_owned() }),
+        Some(_) => Err(StoreError::ForeignFile { path: folder.to_owned() }.into()),
     }
 }
 
@@ -144,8 +144,7 @@ fn videos(inputs: &[PathBuf]) -> Result<Vec<PathBuf>, Error> {
     for input in inputs {
         if input.is_dir() {
             let entries = fs::read_dir(input).and_then(Iterator::collect::<Result<Vec<_>, _>>);
-            let entries =
-                entries.map_err(|cause| Error::Unreadable { path: input.clone(), cause })?;
+            let entries = entries.map_err(Error::unreadable(&input))?;
             let mut here: Vec<PathBuf> = entries.into_iter().map(|entry| entry.path()).collect();
             here.sort();
             // Photos that are not read are named beside the photos, not passed over for videos.

@@ -23,7 +23,7 @@ use tiepoint_sfm::scene::{CameraId, ImageId, Reconstruction};
 use crate::depth_pictures::DenseView;
 use crate::evaluate::{model_folder, read_times};
 use crate::file_names::RIG;
-use crate::output_file::{refuse_foreign_page, write_page};
+use crate::page_file::{refuse_foreign_page, write_page};
 use crate::workspace::REPORT;
 use crate::{Error, Report, Table, TableRow, evaluate_rig};
 use coding::{base64, evenly};

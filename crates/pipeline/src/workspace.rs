@@ -6,11 +6,10 @@ use std::path::{Component, Path, PathBuf};
 use std::time::Instant;
 
 use tiepoint_io::database::{Database, read_stage_rows};
-use tiepoint_io::disk;
+use tiepoint_store::{Error as StoreError, OutputFolder, disk};
 
 use crate::file_names::{DENSE, RIG, SPARSE, is_rig_name, model_path};
 use crate::format::json;
-use crate::output_folder::{OutputFolder, output};
 use crate::records::{Progress, Recipe, Records};
 use crate::{Error, Event, MatchReport, Report, Stage, Watch, emit};
 
@@ -56,11 +55,11 @@ impl Workspace {
     /// The folder holds foreign files with the names of a workspace's files or files of another
     /// format, another run uses it, or it cannot be written.
     pub fn create(root: &Path) -> Result<Self, Error> {
-        disk::create_folders(root).map_err(output(root))?;
+        disk::create_folders(root).map_err(Error::output(root))?;
         // The files that are written in place, and not replaced by a transaction.
         for name in [LOCK, DATABASE].map(|name| root.join(name)) {
             if fs::symlink_metadata(&name).is_ok_and(|found| found.is_symlink()) {
-                return Err(Error::LinkInFolder { path: name });
+                return Err(StoreError::LinkInFolder { path: name }.into());
             }
         }
         // Nothing is written into a workspace of another format.
@@ -82,7 +81,7 @@ impl Workspace {
         }
         let lock = lock(root)?;
         let mut folder = OutputFolder::open(root)?;
-        folder.always_ours(&[STAGES]);
+        folder.always_replaceable(&[STAGES]);
         let mut log = database.as_os_str().to_owned();
         log.push("-wal");
         if Path::new(&log).exists()
@@ -128,7 +127,8 @@ impl Workspace {
             return self.note(|_| {});
         }
         self.folder.stage_bytes(STAGES, &self.records.to_json())?;
-        self.folder.publish(&[STAGES.to_owned()], &[]).map(drop)
+        self.folder.publish(&[STAGES.to_owned()], &[])?;
+        Ok(())
     }
 
     /// Creates a workspace at `root` with a copy of the features and matches of this one, unless
@@ -144,14 +144,14 @@ impl Workspace {
         let mut fork = Self::create(root)?;
         if self.timestamps().is_file() {
             let to = fork.folder.stage(TIMESTAMPS)?;
-            disk::copy_new(&self.timestamps(), &to).map_err(output(&fork.timestamps()))?;
+            disk::copy_new(&self.timestamps(), &to).map_err(Error::output(&fork.timestamps()))?;
             fork.folder.publish(&[TIMESTAMPS.to_owned()], &[])?;
         }
         // The database includes its records.
         let to = fork.folder.stage(DATABASE)?;
-        disk::copy_new(&self.database(), &to).map_err(output(&fork.database()))?;
-        disk::rename(&to, &fork.database()).map_err(output(&fork.database()))?;
-        disk::sync_folder(root).map_err(output(root))?;
+        disk::copy_new(&self.database(), &to).map_err(Error::output(&fork.database()))?;
+        disk::rename(&to, &fork.database()).map_err(Error::output(&fork.database()))?;
+        disk::sync_folder(root).map_err(Error::output(root))?;
         fork.records = self.records.clone();
         fork.records.forget_from(Stage::Map);
         let report = self.report()?;
@@ -216,7 +216,7 @@ impl Workspace {
         }
         if progress != Progress::Kept {
             // Foreign files are detected before any work is done.
-            self.folder.refuse_foreign([REPORT])?;
+            self.folder.ensure_writable([REPORT])?;
         }
         Ok(progress)
     }
@@ -247,7 +247,8 @@ impl Workspace {
         self.folder.stage_bytes(REPORT, &json(&report))?;
         self.folder.stage_bytes(STAGES, &self.records.to_json())?;
         files.extend([REPORT.to_owned(), STAGES.to_owned()]);
-        self.folder.publish(&files, removed).map(drop)
+        self.folder.publish(&files, removed)?;
+        Ok(())
     }
 
     /// Marks a stage as complete; the next [`Workspace::publish`] writes that.
@@ -345,7 +346,7 @@ pub(crate) fn is_workspace(root: &Path) -> bool {
 /// [`Error::ModelIntoWorkspace`] with the workspace.
 pub(crate) fn refuse_workspace(to: &Path) -> Result<(), Error> {
     // The folder and some of those above it need not exist yet.
-    let path = std::path::absolute(to).map_err(output(to))?;
+    let path = std::path::absolute(to).map_err(Error::output(to))?;
     let existing = path.ancestors().find_map(|path| path.canonicalize().ok());
     for root in existing.iter().flat_map(|path| path.ancestors()).take(MAX_RESULT_DEPTH) {
         if is_workspace(root) {
@@ -399,15 +400,15 @@ pub(crate) fn current_records(root: &Path) -> Result<Records, Error> {
 fn lock(root: &Path) -> Result<File, Error> {
     let path = root.join(LOCK);
     if fs::metadata(&path).is_ok_and(|found| !found.is_file()) {
-        return Err(Error::ForeignFile { path });
+        return Err(StoreError::ForeignFile { path }.into());
     }
     // Not truncated: an existing file keeps its content.
     let lock = OpenOptions::new().create(true).truncate(false).write(true).open(&path);
-    let lock = lock.map_err(output(&path))?;
+    let lock = lock.map_err(Error::output(&path))?;
     match lock.try_lock() {
         Ok(()) => Ok(lock),
-        Err(TryLockError::WouldBlock) => Err(Error::InUse { path: root.to_owned() }),
-        Err(TryLockError::Error(cause)) => Err(Error::Output { path, cause }),
+        Err(TryLockError::WouldBlock) => Err(StoreError::InUse { path: root.to_owned() }.into()),
+        Err(TryLockError::Error(cause)) => Err(StoreError::Output { path, cause }.into()),
     }
 }
 
@@ -421,7 +422,7 @@ mod tests {
         let root = dir.path().join("deep/ws");
         assert!(matches!(Workspace::open(&root), Err(Error::NoWorkspace { .. })));
         let held = Workspace::create(&root).unwrap();
-        assert!(matches!(Workspace::create(&root), Err(Error::InUse { .. })));
+        assert!(matches!(Workspace::create(&root), Err(Error::Store(StoreError::InUse { .. }))));
         drop(held);
         Workspace::create(&root).unwrap();
     }
@@ -503,7 +504,7 @@ mod tests {
             assert_eq!(fs::read(root.join(STAGES)).unwrap(), good);
         }
         // Without the manifest, like a copy without hidden files.
-        fs::remove_file(root.join(tiepoint_io::MANIFEST)).unwrap();
+        fs::remove_file(root.join(tiepoint_store::MANIFEST)).unwrap();
         fs::write(root.join(STAGES), "{").unwrap();
         assert!(Workspace::open(&root).unwrap().records.is_complete(Stage::Features));
         fs::remove_file(root.join(DATABASE)).unwrap();

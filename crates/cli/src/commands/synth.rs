@@ -12,9 +12,10 @@ use std::path::{Path, PathBuf};
 use rayon::prelude::*;
 use serde::Serialize;
 use tiepoint_pipeline::eval::geometry::nalgebra::{Vector2, Vector3};
+use tiepoint_pipeline::io::DenseMap;
 use tiepoint_pipeline::io::colmap::{Format, write_model};
-use tiepoint_pipeline::io::disk::{create_folders, temporary_path};
-use tiepoint_pipeline::io::{AtomicFile, DenseMap};
+use tiepoint_pipeline::store::AtomicFile;
+use tiepoint_pipeline::store::disk::{create_folders, temporary_path};
 use tiepoint_synth::{
     Drive, DriveOptions, Exposure, LidarOptions, Mount, reference_cloud, write_ply,
 };

@@ -13,8 +13,9 @@ use image::imageops::{FilterType, resize};
 use rayon::prelude::*;
 use tiepoint_io::colmap::read_model;
 use tiepoint_io::database::Database;
-use tiepoint_io::disk::Operation;
-use tiepoint_io::disk::faults::{Faults, Kind};
+use tiepoint_io::store::Error as StoreError;
+use tiepoint_io::store::disk::Operation;
+use tiepoint_io::store::disk::faults::{Faults, Kind};
 use tiepoint_pipeline::sfm::MapperOptions;
 use tiepoint_pipeline::sfm::geometry::{CameraModelKind, Rng};
 use tiepoint_pipeline::{
@@ -244,7 +245,7 @@ fn test_fault(
         loop {
             match command.run(&dir, redo) {
                 // Processes that other tests start inherit the locks of this process until exec.
-                Err(Error::InUse { .. }) if tries < MAX_TRIES => tries += 1,
+                Err(Error::Store(StoreError::InUse { .. })) if tries < MAX_TRIES => tries += 1,
                 ended => return ended,
             }
             std::thread::sleep(BETWEEN_TRIES);

@@ -25,9 +25,10 @@ use std::io::{self, BufWriter, Write};
 use std::path::Path;
 
 use tiepoint_scene::Reconstruction;
+use tiepoint_store::AtomicFile;
+use tiepoint_store::disk::{self, WrittenFile};
 
-use crate::disk::{self, WrittenFile};
-use crate::{AtomicFile, Error, Result};
+use crate::{Error, Result};
 use file_ids::FileIds;
 use rig_tables::RigTables;
 
@@ -149,7 +150,7 @@ fn write_into_folder(
         disk::remove_file(&old).map_err(Error::io(&images))?;
         disk::sync_folder(disk::folder_of(&old)).map_err(Error::io(&images))?;
     }
-    files.into_iter().try_for_each(AtomicFile::commit)
+    Ok(files.into_iter().try_for_each(AtomicFile::commit)?)
 }
 
 /// Reads a model from a folder: the binary files if cameras, images and points3D are all there,

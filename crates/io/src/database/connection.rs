@@ -5,12 +5,15 @@ use std::path::{Path, PathBuf};
 use rusqlite::{Connection, ErrorCode, OpenFlags, Row, params};
 use tiepoint_geometry::{CameraModelKind, Intrinsics};
 use tiepoint_scene::{Camera, CameraId, Image, ImageId};
+use tiepoint_store::disk::{self, Operation};
+use tiepoint_store::require_regular_file;
 
+#[cfg(feature = "faults")]
+use super::faulty_vfs;
 use super::guard::{self, Guard};
 use super::schema;
-use crate::disk::{self, Operation};
 use crate::excerpt::Excerpt;
-use crate::{Error, Result, require_regular_file};
+use crate::{Error, Result};
 
 /// Upper bound of image ids. COLMAP numbers a pair of images MAX_IMAGE_ID · (smaller id) + (larger
 /// id).
@@ -353,7 +356,7 @@ pub(super) fn connect(file: &Path, path: &Path) -> Result<Connection> {
     let file = std::path::absolute(file).map_err(Error::io(path))?;
     let flags = OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_NO_MUTEX;
     #[cfg(feature = "faults")]
-    let connection = Connection::open_with_flags_and_vfs(file, flags, disk::faulty_vfs::name());
+    let connection = Connection::open_with_flags_and_vfs(file, flags, faulty_vfs::name());
     #[cfg(not(feature = "faults"))]
     let connection = Connection::open_with_flags(file, flags);
     let connection = connection.map_err(error(path))?;

@@ -5,11 +5,11 @@ use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
 use rusqlite::{Connection, ErrorCode};
+use tiepoint_store::disk::{self, WrittenFile};
 
 use super::connection::{Database, checkpoint_log, connect, error};
 use super::guard::side_file;
 use super::schema;
-use crate::disk::{self, WrittenFile};
 use crate::{Error, Result};
 
 /// Suffixes of the files that SQLite keeps beside a database.

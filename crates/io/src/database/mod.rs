@@ -16,6 +16,8 @@ mod append;
 mod connection;
 mod copy;
 mod create;
+#[cfg(feature = "faults")]
+mod faulty_vfs;
 mod features;
 mod guard;
 mod pairs;

@@ -263,8 +263,9 @@ impl Database {
                 })
                 .transpose()
             };
-            let matrix =
-                |column| Ok(list(column, 9)?.map(|values| Matrix3::from_row_slice(&values)));
+            let matrix = |column| -> Result<_> {
+                Ok(list(column, 9)?.map(|values| Matrix3::from_row_slice(&values)))
+            };
             let cam2_from_cam1 = match (list(8, 4)?, list(9, 3)?) {
                 // COLMAP up to 3.8 writes zeros for pairs without a pose.
                 (Some(q), Some(_)) if q.iter().all(|value| *value == 0.0) => None,

@@ -6,10 +6,11 @@ use std::path::Path;
 
 use rusqlite::config::DbConfig;
 use rusqlite::{Connection, ErrorCode, OpenFlags};
+use tiepoint_store::{disk, require_regular_file};
 
 use super::connection::{Database, error};
 use super::guard::{self, side_file};
-use crate::{Error, Result, disk, require_regular_file};
+use crate::{Error, Result};
 
 /// Range of the file format versions for writing and reading in the header of a database, and their
 /// values in WAL mode (<https://www.sqlite.org/fileformat.html>, section 1.3).

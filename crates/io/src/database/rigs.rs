@@ -85,7 +85,7 @@ impl Database {
             for (camera, _) in rig_of.iter().enumerate().filter(|(_, rig)| rig.is_none()) {
                 new_rig(rigs.len() + camera, CameraId::from_index(camera))?;
             }
-            let new_frame = |index: usize, rig: usize, images: &[ImageId]| {
+            let new_frame = |index: usize, rig: usize, images: &[ImageId]| -> Result<()> {
                 let id = index as i64 + 1;
                 db.execute(
                     "INSERT INTO frames(frame_id, rig_id) VALUES (?1, ?2)",

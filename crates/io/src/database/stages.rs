@@ -4,12 +4,13 @@
 use std::path::Path;
 
 use rusqlite::{Connection, params};
+use tiepoint_store::disk;
 
 use super::connection::{Database, connect, error};
 use super::guard::{Guard, side_file};
 use super::read_only::{is_read_only, open_to_read};
 use super::schema;
-use crate::{Error, Result, disk};
+use crate::{Error, Result};
 
 const CREATE: &str = "CREATE TABLE IF NOT EXISTS tiepoint_stages \
                       (stage TEXT PRIMARY KEY NOT NULL, is_complete INTEGER NOT NULL, recipe TEXT \

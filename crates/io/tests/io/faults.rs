@@ -9,11 +9,12 @@ use std::path::{Path, PathBuf};
 
 use tiepoint_features::{Features, Keypoint};
 use tiepoint_geometry::{CameraModelKind, Intrinsics};
+use tiepoint_io::Result;
 use tiepoint_io::colmap::{Format, read_model, write_model};
 use tiepoint_io::database::{Database, StageRow, read_stage_rows};
-use tiepoint_io::disk::faults::{Faults, Kind};
-use tiepoint_io::disk::{self, Operation};
-use tiepoint_io::{AtomicFile, Result};
+use tiepoint_io::store::AtomicFile;
+use tiepoint_io::store::disk::faults::{Faults, Kind};
+use tiepoint_io::store::disk::{self, Operation};
 use tiepoint_scene::{
     Camera, CameraId, Image, ImageId, ImagePair, Match, Reconstruction, TwoView, TwoViewKind,
 };
@@ -232,7 +233,7 @@ fn files_are_replaced_atomically() {
     // More bytes than the buffer of a writer.
     let new = "new ".repeat(5000);
     let write = |dir: &Path| {
-        AtomicFile::write_with(dir.join("file"), |file| file.write_all(new.as_bytes()))
+        Ok(AtomicFile::write_with(dir.join("file"), |file| file.write_all(new.as_bytes()))?)
     };
     for is_there in [false, true] {
         let prepare = |dir: &Path| {

@@ -8,7 +8,8 @@ use std::path::{Path, PathBuf};
 use exif::{In, Rational, Tag, Value};
 use image::{DynamicImage, GrayImage, ImageFormat, Luma as Grey, Rgb as Pixel, RgbImage};
 use tiepoint_io::features::{self, Features, GrayView};
-use tiepoint_io::{ImageFolder, Luma, MANIFEST, Rgb, timestamps};
+use tiepoint_io::store::MANIFEST;
+use tiepoint_io::{ImageFolder, Luma, Rgb, timestamps};
 
 /// JPEG at quality 95 of a smooth image: a few grey levels.
 const JPEG_TOLERANCE: i32 = 6;

@@ -12,11 +12,12 @@ use tiepoint_sfm::geometry::nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use tiepoint_sfm::geometry::{Loss, RansacOptions, Sim3, estimate};
 use tiepoint_sfm::scene::{ImageId, Reconstruction};
 use tiepoint_sfm::{self as sfm, AdjustOptions, RefineIntrinsics, Scope, merge_model};
+use tiepoint_store::write_file;
 
 use super::output::{refuse_foreign_model, write_model};
 use crate::adjust::report;
 use crate::export::model_files;
-use crate::output_file::{PLY_MARK, write_file};
+use crate::file_marks::PLY_MARK;
 use crate::{AdjustReport, Error, Event, SimilarityInfo, Watch};
 
 /// Standard deviation of the priors of the intrinsics, which COLMAP does not have: none.
@@ -141,7 +142,7 @@ pub fn align(
         // The result may be in this folder, too.
         inputs.extend(model_files(output));
         write_file(file, inputs.iter().map(PathBuf::as_path), None, |file| {
-            Ok(similarity::write(file, &new_from_old)?)
+            Ok::<_, Error>(similarity::write(file, &new_from_old)?)
         })?;
     }
     write_model(output, &model, Format::Binary)?;

@@ -4,9 +4,10 @@ use std::path::Path;
 
 use tiepoint_io::colmap::Format;
 use tiepoint_sfm::scene::Reconstruction;
+use tiepoint_store::OutputFolder;
 
 use crate::Error;
-use crate::output_folder::{OutputFolder, model_names};
+use crate::staged_model::{model_names, stage_model};
 use crate::workspace::refuse_workspace;
 
 /// File of the options that a model was made with, which COLMAP writes beside it.
@@ -39,16 +40,17 @@ pub(super) fn write_model_with_project(
         names.push(PROJECT.to_owned());
     }
     folder.may_replace(&names);
-    folder.refuse_foreign(names.iter().map(String::as_str))?;
+    folder.ensure_writable(names.iter().map(String::as_str))?;
     let mut staged = Vec::new();
     if let Some(project) = project {
         folder.stage_bytes(PROJECT, project.as_bytes())?;
         staged.push(PROJECT.to_owned());
     }
-    staged.extend(folder.stage_model(None, model, format)?);
+    staged.extend(stage_model(&folder, None, model, format)?);
     // Readers might prefer files of the other format.
     let removed: Vec<String> = names.into_iter().filter(|name| !staged.contains(name)).collect();
-    folder.publish(&staged, &removed).map(drop)
+    folder.publish(&staged, &removed)?;
+    Ok(())
 }
 
 /// Checks that [`write_model`] may write into a folder.
@@ -64,7 +66,7 @@ pub(super) fn refuse_foreign_model(to: &Path) -> Result<(), Error> {
     let mut folder = OutputFolder::open(to)?;
     let names = model_names(None);
     folder.may_replace(&names);
-    folder.refuse_foreign(names.iter().map(String::as_str))
+    Ok(folder.ensure_writable(names.iter().map(String::as_str))?)
 }
 
 /// The folder of the models `0`, `1`, … of a mapper, which are replaced together.
@@ -97,7 +99,7 @@ impl ModelFolders {
                 folder.claim(&ours)?;
             }
             let names = names_with_project(Some(&index));
-            folder.refuse_foreign(names.iter().map(String::as_str))?;
+            folder.ensure_writable(names.iter().map(String::as_str))?;
         }
         Ok(Self(folder))
     }
@@ -122,7 +124,7 @@ impl ModelFolders {
                 folder.stage_bytes(&name, project.as_bytes())?;
                 staged.push(name);
             }
-            staged.extend(folder.stage_model(Some(&index), model, format)?);
+            staged.extend(stage_model(&folder, Some(&index), model, format)?);
         }
         // Other commands may have written other results into this folder.
         let of_model = names_with_project(None);
@@ -136,7 +138,8 @@ impl ModelFolders {
             .filter(|name| !staged.iter().any(|staged| staged == name))
             .map(str::to_owned)
             .collect();
-        folder.publish(&staged, &removed).map(drop)
+        folder.publish(&staged, &removed)?;
+        Ok(())
     }
 }
 

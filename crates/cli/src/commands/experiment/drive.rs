@@ -5,8 +5,8 @@ use std::io::Write;
 use std::path::Path;
 
 use tiepoint_pipeline::Calibration;
-use tiepoint_pipeline::io::AtomicFile;
 use tiepoint_pipeline::sfm::geometry::CameraModelKind;
+use tiepoint_pipeline::store::AtomicFile;
 use tiepoint_synth::Drive;
 
 use crate::args::Scenery;

@@ -23,7 +23,7 @@ pub fn require_regular_file(path: &Path) -> Result<()> {
 }
 
 /// The kind of an entry that is not a regular file; `None` for a regular file.
-pub(crate) fn irregular_kind(metadata: &Metadata) -> Option<&'static str> {
+pub fn irregular_kind(metadata: &Metadata) -> Option<&'static str> {
     if metadata.is_file() {
         return None;
     }
@@ -42,7 +42,7 @@ pub(crate) fn irregular_kind(metadata: &Metadata) -> Option<&'static str> {
 }
 
 /// A path for a message: control characters and bytes that are not UTF-8 are escaped.
-pub(crate) fn escaped(path: &Path) -> String {
+pub fn escaped(path: &Path) -> String {
     let mut text = String::new();
     for chunk in path.as_os_str().as_encoded_bytes().utf8_chunks() {
         for c in chunk.valid().chars() {

@@ -89,7 +89,7 @@ fn watches() -> MutexGuard<'static, Vec<Watch>> {
     WATCHES.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-pub(crate) fn check_fault(operation: Operation, path: &Path) -> io::Result<()> {
+pub(super) fn check_fault(operation: Operation, path: &Path) -> io::Result<()> {
     let mut watches = watches();
     if watches.is_empty() {
         return Ok(());
@@ -114,8 +114,8 @@ pub(crate) fn check_fault(operation: Operation, path: &Path) -> io::Result<()> {
     })
 }
 
-/// Number of bytes of a failed write that reach the file.
-pub(crate) fn partial_write_len(path: &Path, length: usize) -> usize {
+/// Number of bytes of a failed write that reach the file, of `length` bytes.
+pub fn partial_write_len(path: &Path, length: usize) -> usize {
     let path = resolved(path);
     let is_partial =
         watches().iter_mut().any(|watch| watch.half.take_if(|half| *half == path).is_some());

@@ -5,8 +5,6 @@
 
 #[cfg(feature = "faults")]
 pub mod faults;
-#[cfg(all(feature = "faults", feature = "database"))]
-pub(crate) mod faulty_vfs;
 
 mod change;
 mod folder;
@@ -18,7 +16,7 @@ use std::fs::{self, File, OpenOptions};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
-pub(crate) use change::check_fault;
+pub use change::check_fault;
 use change::retry_while_denied;
 pub use folder::Folder;
 pub use operation::Operation;
@@ -57,7 +55,7 @@ impl WrittenFile {
     }
 
     /// The open file.
-    pub(crate) fn file(&self) -> &File {
+    pub fn file(&self) -> &File {
         &self.file
     }
 
@@ -217,7 +215,7 @@ pub fn sync_folder(path: &Path) -> io::Result<()> {
 /// # Errors
 ///
 /// If the links form a cycle.
-pub(crate) fn end_of_links(path: &Path) -> io::Result<PathBuf> {
+pub fn end_of_links(path: &Path) -> io::Result<PathBuf> {
     let mut path = path.to_owned();
     for _ in 0..MAX_LINKS {
         match fs::read_link(&path) {

@@ -33,13 +33,18 @@ pub(super) fn retry_while_denied<T>(
     }
 }
 
-/// Called before each change; returns the error that a test asks for.
+/// Called before each change; returns the error that a test asks for. For callers whose changes
+/// another library makes, such as the commit of a database.
+///
+/// # Errors
+///
+/// That of the fault, with the feature `faults`.
 #[cfg_attr(
     not(feature = "faults"),
     expect(clippy::unnecessary_wraps, reason = "only tests make it fail")
 )]
 #[inline]
-pub(crate) fn check_fault(operation: Operation, path: &Path) -> io::Result<()> {
+pub fn check_fault(operation: Operation, path: &Path) -> io::Result<()> {
     #[cfg(feature = "faults")]
     super::faults::check_fault(operation, path)?;
     #[cfg(not(feature = "faults"))]

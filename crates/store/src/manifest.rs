@@ -85,7 +85,7 @@ pub fn is_inside(name: impl AsRef<Path>) -> bool {
 
 /// The paths of the files that the manifest of a folder names. Empty without a valid manifest of
 /// this program.
-pub(crate) fn manifest_files(folder: &Path) -> BTreeSet<PathBuf> {
+pub fn manifest_files(folder: &Path) -> BTreeSet<PathBuf> {
     let files = Manifest::read(folder).ok().flatten().unwrap_or_default().files;
     files.into_keys().map(|name| folder.join(name)).collect()
 }

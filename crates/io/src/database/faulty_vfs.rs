@@ -8,8 +8,7 @@ use std::ptr;
 use std::sync::Once;
 
 use rusqlite::ffi::{self, sqlite3_file, sqlite3_int64, sqlite3_io_methods, sqlite3_vfs};
-
-use super::{Operation, check_fault, faults};
+use tiepoint_store::disk::{Operation, check_fault, faults};
 
 const NAME: &CStr = c"tiepoint-faults";
 const WATCHED: c_int =

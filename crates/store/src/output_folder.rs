@@ -21,15 +21,13 @@ use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
-use tiepoint_io::colmap::{self, Format, MODEL_FILES};
-use tiepoint_io::disk::{self, FileId, Folder};
-use tiepoint_io::{AtomicFile, MANIFEST, Manifest, is_inside};
-use tiepoint_sfm::scene::Reconstruction;
 
-use crate::Error;
+use crate::disk::{self, FileId, Folder};
+use crate::manifest::{MANIFEST, Manifest, is_inside};
+use crate::{AtomicFile, Error};
 
-/// Folder of staged files; also the suffix of temporary single files.
-pub(crate) const STAGED: &str = ".tiepoint-new";
+/// Folder of staged files.
+const STAGED: &str = ".tiepoint-new";
 const COMMITTED: &str = ".tiepoint-commit";
 const REPLACED: &str = ".tiepoint-old";
 /// Size of read buffers.
@@ -37,13 +35,13 @@ const BUFFER_BYTES: usize = 1 << 16;
 
 /// An output folder, locked by this process.
 #[derive(Debug)]
-pub(crate) struct OutputFolder {
+pub struct OutputFolder {
     root: Folder,
     manifest: Manifest,
     /// Files that the command reads.
     inputs: BTreeSet<FileId>,
     /// Names of files that are never foreign, whatever their content.
-    always_ours: &'static [&'static str],
+    always_replaceable: &'static [&'static str],
     /// Names of files that may be replaced, whoever made them.
     replaceable: BTreeSet<String>,
     /// Lock on the folder, on systems that can lock folders.
@@ -69,10 +67,10 @@ impl OutputFolder {
     ///
     /// The folder cannot be written, another run uses it, its manifest is invalid, or a name that
     /// an interrupted transaction moves leads over a link.
-    pub(crate) fn open(root: &Path) -> Result<Self, Error> {
-        disk::create_folders(root).map_err(output(root))?;
+    pub fn open(root: &Path) -> Result<Self, Error> {
+        disk::create_folders(root).map_err(Error::output(root))?;
         let lock = lock(root)?;
-        let root = Folder::open(root).map_err(output(root))?;
+        let root = Folder::open(root).map_err(Error::output(root))?;
         for name in [MANIFEST, STAGED, COMMITTED, REPLACED] {
             refuse_link(&root, name)?;
         }
@@ -81,7 +79,7 @@ impl OutputFolder {
             root,
             manifest,
             inputs: BTreeSet::new(),
-            always_ours: &[],
+            always_replaceable: &[],
             replaceable: BTreeSet::new(),
             _lock: lock,
         };
@@ -94,14 +92,19 @@ impl OutputFolder {
     }
 
     /// Whether a folder has a manifest of this program.
-    pub(crate) fn is_ours(root: &Path) -> bool {
+    pub fn is_ours(root: &Path) -> bool {
         root.join(MANIFEST).is_file()
     }
 
     /// Whether an interrupted run left a committed transaction incomplete. Whatever has the name of
     /// its folder counts: what cannot be such a folder is refused by [`OutputFolder::open`].
-    pub(crate) fn is_unfinished(root: &Path) -> bool {
+    pub fn is_unfinished(root: &Path) -> bool {
         fs::symlink_metadata(root.join(COMMITTED)).is_ok()
+    }
+
+    /// The path of the folder.
+    pub fn path(&self) -> &Path {
+        self.root.path()
     }
 
     /// Adds the existing files of these names to the manifest with their current content.
@@ -109,7 +112,7 @@ impl OutputFolder {
     /// # Errors
     ///
     /// A file cannot be read, or the manifest cannot be written.
-    pub(crate) fn claim(&mut self, names: &[String]) -> Result<(), Error> {
+    pub fn claim(&mut self, names: &[String]) -> Result<(), Error> {
         for name in names {
             self.refuse_link(name)?;
             if let Some(hash) = hash_of(&self.root, name)? {
@@ -120,23 +123,23 @@ impl OutputFolder {
     }
 
     /// Sets the names of files that are never foreign, whatever their content.
-    pub(crate) fn always_ours(&mut self, names: &'static [&'static str]) {
-        self.always_ours = names;
+    pub fn always_replaceable(&mut self, names: &'static [&'static str]) {
+        self.always_replaceable = names;
     }
 
     /// Permits that files of these names are replaced, whoever made them. They become ours when a
     /// transaction that replaces them is committed: a run that ends before claims nothing.
-    pub(crate) fn may_replace(&mut self, names: &[String]) {
+    pub fn may_replace(&mut self, names: &[String]) {
         self.replaceable.extend(names.iter().cloned());
     }
 
     /// Adds files that the command reads, and which it must therefore not write.
-    pub(crate) fn protect<'a>(&mut self, inputs: impl IntoIterator<Item = &'a Path>) {
+    pub fn protect<'a>(&mut self, inputs: impl IntoIterator<Item = &'a Path>) {
         self.inputs.extend(inputs.into_iter().filter_map(FileId::of));
     }
 
     /// Names of the files in the manifest, but for those that a transaction removed.
-    pub(crate) fn names(&self) -> impl Iterator<Item = &str> {
+    pub fn names(&self) -> impl Iterator<Item = &str> {
         let removed: BTreeSet<&String> = self.manifest.removed.iter().collect();
         // A transaction that was interrupted before its commit removed nothing.
         let is_gone = move |name: &&String| removed.contains(name) && !self.exists(name);
@@ -144,12 +147,12 @@ impl OutputFolder {
     }
 
     /// Whether the manifest has a name.
-    pub(crate) fn knows(&self, name: &str) -> bool {
+    pub fn contains(&self, name: &str) -> bool {
         self.manifest.files.contains_key(name)
     }
 
     /// Whether there is a file, or a link, of this name.
-    pub(crate) fn exists(&self, name: &str) -> bool {
+    pub fn exists(&self, name: &str) -> bool {
         self.root.has(name)
     }
 
@@ -163,19 +166,19 @@ impl OutputFolder {
     /// # Errors
     ///
     /// A file of these names is foreign or an input.
-    pub(crate) fn refuse_foreign<'a>(
+    pub fn ensure_writable<'a>(
         &self,
         names: impl IntoIterator<Item = &'a str>,
     ) -> Result<(), Error> {
         names.into_iter().try_for_each(|name| self.refuse(name, &self.owner(name)?.0))
     }
 
-    /// [`OutputFolder::refuse_foreign`] for a staged file, which may equal an existing foreign one.
+    /// [`OutputFolder::ensure_writable`] for a staged file; a foreign one may have its content.
     ///
     /// # Errors
     ///
     /// The existing file is foreign or an input, and has another content.
-    pub(crate) fn refuse_unless_same(&self, name: &str) -> Result<(), Error> {
+    pub fn ensure_writable_or_equal(&self, name: &str) -> Result<(), Error> {
         let (owner, hash) = self.owner(name)?;
         let staged = hash_of(&self.root, Path::new(STAGED).join(name))?;
         if staged.is_some() && staged == self.hash_there(name, &owner, hash)? {
@@ -211,7 +214,7 @@ impl OutputFolder {
         if !found.is_file() {
             return Ok((Owner::Others, None));
         }
-        if self.always_ours.contains(&name) || self.replaceable.contains(name) {
+        if self.always_replaceable.contains(&name) || self.replaceable.contains(name) {
             return Ok((Owner::Us, None));
         }
         let Some(known) = self.manifest.files.get(name) else { return Ok((Owner::Others, None)) };
@@ -239,8 +242,8 @@ impl OutputFolder {
     /// # Errors
     ///
     /// The file cannot be read.
-    pub(crate) fn is_unmodified(&self, name: &str) -> Result<bool, Error> {
-        let link = self.root.find_link(name).map_err(output(&self.root.join(name)))?;
+    pub fn is_unmodified(&self, name: &str) -> Result<bool, Error> {
+        let link = self.root.find_link(name).map_err(Error::output(&self.root.join(name)))?;
         let Some(known) = self.manifest.files.get(name).filter(|_| link.is_none()) else {
             return Ok(false);
         };
@@ -252,7 +255,7 @@ impl OutputFolder {
     /// # Errors
     ///
     /// The name leads out of the folder, or the folder cannot be created.
-    pub(crate) fn stage(&self, name: &str) -> Result<PathBuf, Error> {
+    pub fn stage(&self, name: &str) -> Result<PathBuf, Error> {
         if !is_inside(name) {
             let path = self.root.path().to_owned();
             return Err(Error::NotInside { path, name: name.to_owned() });
@@ -260,7 +263,7 @@ impl OutputFolder {
         let staged = Path::new(STAGED).join(name);
         self.root
             .create_folders(disk::folder_of(&staged))
-            .map_err(output(&self.root.join(name)))?;
+            .map_err(Error::output(&self.root.join(name)))?;
         Ok(self.root.join(staged))
     }
 
@@ -269,42 +272,8 @@ impl OutputFolder {
     /// # Errors
     ///
     /// Those of [`OutputFolder::stage`], and the file cannot be written.
-    pub(crate) fn stage_bytes(&self, name: &str, bytes: &[u8]) -> Result<(), Error> {
-        disk::write_new(&self.stage(name)?, bytes).map_err(output(&self.root.join(name)))
-    }
-
-    /// Stages a COLMAP model in a sub-folder (`None`: in the folder itself). Returns the names of
-    /// its files in the order for [`OutputFolder::publish`].
-    ///
-    /// # Errors
-    ///
-    /// The model is invalid or cannot be written.
-    pub(crate) fn stage_model(
-        &self,
-        folder: Option<&str>,
-        model: &Reconstruction,
-        format: Format,
-    ) -> Result<Vec<String>, Error> {
-        let own = folder.unwrap_or("model");
-        let path = self.stage(own)?;
-        let asked = self.root.join(folder.unwrap_or_default());
-        colmap::write_model(&path, model, format).map_err(|error| renamed(error, &path, &asked))?;
-        let mut names = Vec::new();
-        for name in MODEL_FILES {
-            let file = format!("{name}.{}", format.suffix());
-            match folder {
-                Some(folder) => names.push(format!("{folder}/{file}")),
-                None => {
-                    let to = self.root.join(STAGED).join(&file);
-                    disk::rename(&path.join(&file), &to).map_err(output(&self.root.join(&file)))?;
-                    names.push(file);
-                }
-            }
-        }
-        if folder.is_none() {
-            disk::remove_empty_folder(&path).map_err(output(self.root.path()))?;
-        }
-        Ok(names)
+    pub fn stage_bytes(&self, name: &str, bytes: &[u8]) -> Result<(), Error> {
+        disk::write_new(&self.stage(name)?, bytes).map_err(Error::output(&self.root.join(name)))
     }
 
     /// Moves the staged files into place and removes others, as a transaction. `order`: names of
@@ -316,7 +285,7 @@ impl OutputFolder {
     /// A foreign file would be replaced or removed; then nothing changes. A file operation fails;
     /// if the transaction was committed before, the next [`OutputFolder::open`] completes it, and
     /// until then nothing else can be published.
-    pub(crate) fn publish(&mut self, order: &[String], removed: &[String]) -> Result<usize, Error> {
+    pub fn publish(&mut self, order: &[String], removed: &[String]) -> Result<usize, Error> {
         if Self::is_unfinished(self.root.path()) {
             return Err(Error::Unfinished { path: self.root.path().to_owned() });
         }
@@ -337,7 +306,9 @@ impl OutputFolder {
             })?;
             let there = self.hash_there(name, &owner, there)?;
             if there.as_ref() == Some(&hash) {
-                self.root.remove_file(staged.join(name)).map_err(output(&self.root.join(name)))?;
+                self.root
+                    .remove_file(staged.join(name))
+                    .map_err(Error::output(&self.root.join(name)))?;
                 kept += 1;
                 continue;
             }
@@ -345,7 +316,7 @@ impl OutputFolder {
             manifest.files.insert(name.clone(), there.into_iter().chain([hash]).collect());
             placed.push(name.clone());
         }
-        self.refuse_foreign(removed.iter().map(String::as_str))?;
+        self.ensure_writable(removed.iter().map(String::as_str))?;
         let is_there = |name: &&String| self.exists(name);
         // Until a transaction is complete, the manifest has also the files that it removes.
         for name in self.manifest.removed.iter().chain(removed).filter(|name| !is_there(name)) {
@@ -362,7 +333,7 @@ impl OutputFolder {
             self.remove(STAGED)?;
             return Ok(kept);
         }
-        let at_root = || output(self.root.path());
+        let at_root = || Error::output(self.root.path());
         self.root.create_folders(staged).map_err(at_root())?;
         self.root.sync_folders(staged).map_err(at_root())?;
         (manifest.order, manifest.removed) = (placed, removed);
@@ -395,17 +366,17 @@ impl OutputFolder {
                 return Err(Error::ForeignFile { path: self.root.join(name) });
             }
         }
-        self.root.create_folders(replaced).map_err(output(self.root.path()))?;
+        self.root.create_folders(replaced).map_err(Error::output(self.root.path()))?;
         for (number, name) in old {
             let to = replaced.join(number.to_string());
-            self.move_file(Path::new(name), &to).map_err(output(&self.root.join(name)))?;
+            self.move_file(Path::new(name), &to).map_err(Error::output(&self.root.join(name)))?;
         }
         let mut folders = BTreeSet::new();
         for name in order.iter().map(Path::new) {
             let from = committed.join(name);
             if self.root.has(&from) {
                 let path = self.root.join(name);
-                let failed = || output(&path);
+                let failed = || Error::output(&path);
                 self.root.create_folders(name.parent().unwrap_or(name)).map_err(failed())?;
                 self.move_file(&from, name).map_err(failed())?;
                 folders.extend(name.ancestors().skip(1));
@@ -413,7 +384,7 @@ impl OutputFolder {
         }
         // Inner folders first.
         for folder in folders.iter().rev() {
-            self.root.sync_folder(folder).map_err(output(&self.root.join(folder)))?;
+            self.root.sync_folder(folder).map_err(Error::output(&self.root.join(folder)))?;
         }
         for name in removed.iter().map(Path::new) {
             if let Some(folder) = name.parent().filter(|folder| !folder.as_os_str().is_empty()) {
@@ -441,7 +412,7 @@ impl OutputFolder {
     }
 
     fn remove(&self, own: &str) -> Result<(), Error> {
-        self.root.remove_own_folder(own).map_err(output(&self.root.join(own)))
+        self.root.remove_own_folder(own).map_err(Error::output(&self.root.join(own)))
     }
 }
 
@@ -454,7 +425,7 @@ impl Drop for OutputFolder {
 
 /// Checks that no part of a name in a folder is a symbolic link.
 fn refuse_link(root: &Folder, name: impl AsRef<Path>) -> Result<(), Error> {
-    match root.find_link(&name).map_err(output(&root.join(&name)))? {
+    match root.find_link(&name).map_err(Error::output(&root.join(&name)))? {
         Some(path) => Err(Error::LinkInFolder { path }),
         None => Ok(()),
     }
@@ -462,44 +433,9 @@ fn refuse_link(root: &Folder, name: impl AsRef<Path>) -> Result<(), Error> {
 
 fn read_manifest(root: &Path) -> Result<Option<Manifest>, Error> {
     Manifest::read(root).map_err(|error| match error {
-        tiepoint_io::Error::Io { path, cause } => Error::Unreadable { path, cause },
+        Error::Io { path, cause } => Error::Unreadable { path, cause },
         _ => Error::ForeignFile { path: root.join(MANIFEST) },
     })
-}
-
-/// Replaces the path of a staged file, or folder of files, in an error by the final path.
-pub(crate) fn renamed(error: tiepoint_io::Error, staged: &Path, asked: &Path) -> Error {
-    let rename = |path: PathBuf| match path.strip_prefix(staged) {
-        Ok(rest) if rest.as_os_str().is_empty() => asked.to_owned(),
-        Ok(rest) => asked.join(rest),
-        Err(_) => path,
-    };
-    Error::File(match error {
-        tiepoint_io::Error::Io { path, cause } => {
-            tiepoint_io::Error::Io { path: rename(path), cause }
-        }
-        tiepoint_io::Error::Content { path, what } => {
-            tiepoint_io::Error::Content { path: rename(path), what }
-        }
-        tiepoint_io::Error::Model { path, cause } => {
-            tiepoint_io::Error::Model { path: rename(path), cause }
-        }
-        other => other,
-    })
-}
-
-/// Names of the files of a COLMAP model in this sub-folder, in both formats.
-pub(crate) fn model_names(folder: Option<&str>) -> Vec<String> {
-    let prefix = folder.map_or_else(String::new, |folder| format!("{folder}/"));
-    let names =
-        |format: Format| MODEL_FILES.map(|name| format!("{prefix}{name}.{}", format.suffix()));
-    Format::ALL.into_iter().flat_map(names).collect()
-}
-
-/// Converts an I/O error to [`Error::Output`] for a path.
-pub(crate) fn output(path: &Path) -> impl FnOnce(io::Error) -> Error {
-    let path = path.to_owned();
-    move |cause| Error::Output { path, cause }
 }
 
 /// BLAKE3 hash of a regular file in a folder; `None` if there is none.
@@ -575,7 +511,7 @@ mod tests {
         assert!(!folder.exists("a") && folder.names().next().is_none());
         folder.stage_bytes("b", b"made").unwrap();
         folder.publish(&["b".to_owned()], &[]).unwrap();
-        assert!(!folder.knows("a") && folder.knows("b"));
+        assert!(!folder.contains("a") && folder.contains("b"));
     }
 
     #[test]
@@ -619,7 +555,7 @@ mod tests {
     fn replaced_file_is_hashed_once_before_the_commit() {
         let dir = tempfile::tempdir().unwrap();
         let mut folder = OutputFolder::open(dir.path()).unwrap();
-        folder.always_ours(&["ours"]);
+        folder.always_replaceable(&["ours"]);
         let names = ["a", "ours", "theirs"];
         put(&mut folder, &[("a", "1"), ("ours", "1")], &[]).unwrap();
         fs::write(dir.path().join("theirs"), "2").unwrap();
@@ -674,7 +610,7 @@ mod tests {
         }
         let mut folder = OutputFolder::open(root).unwrap();
         folder.may_replace(&names);
-        folder.refuse_foreign(["a", "b"]).unwrap();
+        folder.ensure_writable(["a", "b"]).unwrap();
         folder.stage_bytes("a", b"new").unwrap();
         // The run ends before it publishes.
         drop(folder);

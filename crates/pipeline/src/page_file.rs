@@ -1,0 +1,48 @@
+//! The file of a page.
+
+use std::fs;
+use std::io::Write;
+use std::path::Path;
+
+use tiepoint_store::{AtomicFile, Error as StoreError, Mark, may_be_replaced, write_file};
+
+use crate::Error;
+
+/// Marks a page as written by this program.
+const MARK: Mark = Mark::Inside("<title>tiepoint</title>");
+
+/// Writes an HTML page. An existing page is replaced only if this program wrote it.
+///
+/// # Errors
+///
+/// A foreign page or a link exists, or the page cannot be written.
+pub fn write_page(path: &Path, html: &str) -> Result<(), Error> {
+    refuse_link(path)?;
+    write_file(path, [], Some(MARK), |path| {
+        Ok(AtomicFile::write_with(path, |file| file.write_all(html.as_bytes()))?)
+    })
+}
+
+/// Checks before any work is done that [`write_page`] may write.
+///
+/// # Errors
+///
+/// A foreign page exists, or a link: the program chose the name, and the folder may be somebody
+/// else's.
+pub fn refuse_foreign_page(path: &Path) -> Result<(), Error> {
+    refuse_link(path)?;
+    if may_be_replaced(path, Some(MARK))? {
+        Ok(())
+    } else {
+        Err(StoreError::ForeignFile { path: path.to_owned() }.into())
+    }
+}
+
+fn refuse_link(path: &Path) -> Result<(), Error> {
+    match fs::symlink_metadata(path) {
+        Ok(found) if found.is_symlink() => {
+            Err(StoreError::LinkInFolder { path: path.to_owned() }.into())
+        }
+        _ => Ok(()),
+    }
+}
