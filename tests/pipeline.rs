@@ -31,7 +31,7 @@ fn small_photos(data: &Path) -> &'static [Small] {
     static PHOTOS: OnceLock<Vec<Small>> = OnceLock::new();
     PHOTOS.get_or_init(|| {
         let photos = data.join("fountain-P11/images");
-        let folder = tiepoint_pipeline::io::ImageFolder::open(&[photos], None).unwrap();
+        let folder = tiepoint_pipeline::input::ImageFolder::open(&[photos], None).unwrap();
         let shrink = |(index, name): (usize, &str)| {
             let luma = folder.luma(index).unwrap();
             let (width, height) = (luma.width / SHRINK * SHRINK, luma.height / SHRINK * SHRINK);

@@ -2,9 +2,8 @@
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
-
 use tiepoint_fuzz::file;
-use tiepoint_io::Exif;
+use tiepoint_input::Exif;
 
 fuzz_target!(|data: &[u8]| {
     let length = (data.len() as u16).saturating_add(8).to_be_bytes();

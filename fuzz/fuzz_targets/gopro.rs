@@ -2,9 +2,8 @@
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
-
 use tiepoint_fuzz::file;
-use tiepoint_io::video::is_stabilised;
+use tiepoint_input::video::is_stabilised;
 
 fuzz_target!(|data: &[u8]| {
     let _ = is_stabilised(&file("a.mp4", data));

@@ -2,9 +2,8 @@
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
-
 use tiepoint_fuzz::{folder, write};
-use tiepoint_io::{ImageFolder};
+use tiepoint_input::ImageFolder;
 
 /// Large images take time and show nothing.
 const DEFAULT_MAX_PIXELS: u64 = 1 << 21;

@@ -4,7 +4,7 @@
 use libfuzzer_sys::fuzz_target;
 use tiepoint_fuzz::{folder, write};
 use tiepoint_io::store::MANIFEST;
-use tiepoint_io::ImageFolder;
+use tiepoint_input::ImageFolder;
 
 fuzz_target!(|data: &[u8]| {
     let dir = folder();

@@ -4,13 +4,14 @@
 use std::path::Path;
 
 use tiepoint_fuzz::{DIVIDER, RIG, TIMES, folder, write, write_model};
-use tiepoint_io::bal::Bal;
 use tiepoint_io::colmap::{self, Format};
 use tiepoint_io::database::{Database, StageRow};
 use tiepoint_io::features::{Features, Keypoint};
 use tiepoint_io::scene::{ImageId, ImagePair, Match, TwoView, TwoViewKind};
 use tiepoint_io::trajectory::{self, TimedPose};
-use tiepoint_io::{Rgb, las, ply};
+use tiepoint_io::bal::Bal;
+use tiepoint_io::{las, ply};
+use tiepoint_input::Rgb;
 
 type Outcome = Result<(), Box<dyn std::error::Error>>;
 

@@ -6,8 +6,8 @@ use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use tiepoint_geometry::nalgebra::{Vector2, Vector3};
 use tiepoint_geometry::{CameraModelKind, Intrinsics, Rigid3, Rng};
 use tiepoint_io::colmap::{Format, read_model, write_model};
-use tiepoint_io::{Luma, Rgb};
 use tiepoint_scene::{Camera, Image, ImageId, Keypoint, Observation, Reconstruction, Track};
+use tiepoint_input::{Luma, Rgb};
 
 const IMAGES: u32 = 100;
 const KEYPOINTS: u32 = 4096;

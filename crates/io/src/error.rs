@@ -69,11 +69,13 @@ pub enum Error {
 pub type Result<T, E = Error> = std::result::Result<T, E>;
 
 impl Error {
-    pub(crate) fn io(path: &Path) -> impl FnOnce(std::io::Error) -> Self {
+    /// Converts an error of the operating system for a path.
+    pub fn io(path: &Path) -> impl FnOnce(std::io::Error) -> Self {
         move |cause| Self::Io { path: path.to_owned(), cause }
     }
 
-    pub(crate) fn content(path: &Path, what: impl Into<String>) -> Self {
+    /// [`Error::Content`] of a path.
+    pub fn content(path: &Path, what: impl Into<String>) -> Self {
         Self::Content { path: path.to_owned(), what: what.into() }
     }
 }

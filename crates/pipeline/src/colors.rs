@@ -2,12 +2,12 @@
 
 use std::collections::BTreeMap;
 
-use tiepoint_io::{ImageFolder, Rgb};
+use tiepoint_input::parallel::budget_bytes;
+use tiepoint_input::parallel::for_each_within_budget;
+use tiepoint_input::{ImageFolder, Rgb};
 use tiepoint_sfm::scene::{Camera, Image, PointId, Reconstruction};
 
 use crate::Error;
-use crate::memory::budget_bytes;
-use crate::ordered::for_each_within_budget;
 
 /// Memory for decoding a colour image, in bytes per pixel; a progressive JPEG file takes most.
 pub(crate) const DECODER_BYTES_PER_PIXEL: u64 = 12;

@@ -17,8 +17,10 @@ use tiepoint_dense::stereo::{
 };
 use tiepoint_dense::undistort::{UndistortOptions, Undistortion, undistort_model};
 use tiepoint_dense::{Grey, PosedPinhole, StereoProblem, select_views};
+use tiepoint_input::images::DepthScale;
+use tiepoint_input::{Luma, Rgb};
 use tiepoint_io::colmap::{Format, read_model};
-use tiepoint_io::{DenseMap, DepthScale, FusedPly, FusedVisibility, Luma, Rgb};
+use tiepoint_io::{DenseMap, FusedPly, FusedVisibility};
 use tiepoint_sfm::scene::{Image, ImageId, Reconstruction};
 
 use self::masks::Masks;

@@ -2,8 +2,9 @@
 
 use std::path::Path;
 
+use tiepoint_input::Rgb;
+use tiepoint_io::DenseMap;
 use tiepoint_io::ply::{self, Vertex};
-use tiepoint_io::{DenseMap, Rgb};
 use tiepoint_sfm::scene::Reconstruction;
 
 use crate::Error;

@@ -9,11 +9,12 @@ use tiepoint_eval::geometry::{Rigid3, Sim3};
 use tiepoint_eval::{
     Alignment, Statistics, associate, auc, compare_poses, relative_pose_errors_rad,
 };
+use tiepoint_input::sequences::number;
 use tiepoint_io::{colmap, strecha, timestamps, trajectory};
 use tiepoint_sfm::scene::{Image, ImageId, Reconstruction};
 use tiepoint_store::{Error as StoreError, OutputFolder};
 
-use crate::image_names::{first_folder, number};
+use crate::image_names::first_folder;
 use crate::model_location::ModelLocation;
 use crate::workspace::{current_records, is_workspace};
 use crate::{Error, Stage};

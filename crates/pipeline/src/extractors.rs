@@ -2,8 +2,8 @@
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
+use tiepoint_input::{ImageFolder, ImageInfo, Luma};
 use tiepoint_io::features::{self as sift, Features, GrayView, Sift};
-use tiepoint_io::{ImageFolder, ImageInfo, Luma};
 
 use crate::Error;
 

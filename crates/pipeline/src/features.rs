@@ -6,20 +6,21 @@ use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
+use tiepoint_input::cameras::Photo;
+use tiepoint_input::cameras::{Calibration, FoundCameras, firsts};
+use tiepoint_input::cameras::{CalibrationSource, Calibrations};
+use tiepoint_input::fingerprint::hash_file;
+use tiepoint_input::parallel::budget_bytes;
+use tiepoint_input::parallel::for_each_within_budget;
+use tiepoint_input::{DEFAULT_MAX_PIXELS, ImageInfo};
 use tiepoint_io::database::{Database, read_stage_rows};
 use tiepoint_io::features::{self as sift, Features};
-use tiepoint_io::{DEFAULT_MAX_PIXELS, ImageInfo, timestamps};
+use tiepoint_io::timestamps;
 use tiepoint_sfm::geometry::numeric::median;
 use tiepoint_sfm::scene::{Camera, CameraId, Image, ImageId};
 use tiepoint_store::Error as StoreError;
 
-use crate::calibration::{CalibrationSource, Calibrations};
-use crate::cameras::{Calibration, FoundCameras, firsts};
 use crate::extractors::{Extractors, memory_of};
-use crate::fingerprint::hash_file;
-use crate::memory::budget_bytes;
-use crate::ordered::for_each_within_budget;
-use crate::photos::Photo;
 use crate::records::{Progress, Recipe};
 use crate::workspace::TIMESTAMPS;
 use crate::{
@@ -42,7 +43,7 @@ pub struct FeatureOptions {
     /// names or in EXIF.
     pub timestamps: Option<PathBuf>,
     /// Photos with more pixels are skipped, which bounds the memory that a damaged or malicious
-    /// file can request. At most [`ABSOLUTE_MAX_PIXELS`](tiepoint_io::ABSOLUTE_MAX_PIXELS).
+    /// file can request. At most [`ABSOLUTE_MAX_PIXELS`](tiepoint_input::ABSOLUTE_MAX_PIXELS).
     pub max_pixels: u64,
 }
 
@@ -192,9 +193,9 @@ pub fn extract_features(
     if taken.is_err() || found.len() < 2 {
         database.close()?;
         taken?;
-        return Err(
-            photos.too_few(found.len(), skipped.into_iter().map(|photo| photo.why).collect())
-        );
+        return Err(photos
+            .too_few(found.len(), skipped.into_iter().map(|photo| photo.why).collect())
+            .into());
     }
     let seconds = start.elapsed().as_secs_f64();
     let cameras = cameras.iter().enumerate();

@@ -9,6 +9,8 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
+use tiepoint_input::fingerprint::hash_files;
+use tiepoint_input::parallel::for_each_in_order;
 use tiepoint_io::database::{Database, read_stage_rows};
 use tiepoint_sfm::geometry::Rng;
 use tiepoint_sfm::geometry::nalgebra::Matrix3;
@@ -18,9 +20,7 @@ use tiepoint_sfm::scene::{
 use tiepoint_sfm::{ImageObservations, VerifyOptions, verify_pair};
 use tiepoint_store::Error as StoreError;
 
-use crate::fingerprint::hash_files;
 use crate::keypoints::keypoint;
-use crate::ordered::for_each_in_order;
 use crate::records::{Progress, Recipe};
 use crate::{
     CameraReport, Error, Event, FeaturesReport, MatchReport, Stage, Watch, Workspace, emit,

@@ -1,4 +1,4 @@
-//! Camera folder and number in the names of images.
+//! The camera folder in the names of images.
 
 use tiepoint_sfm::rig_candidates;
 use tiepoint_sfm::scene::{Camera, CameraId, Reconstruction};
@@ -26,10 +26,4 @@ pub(crate) fn camera_of_folder<'a>(
 pub(crate) fn first_folder(model: &Reconstruction) -> String {
     let first = model.images().map(|(_, image)| image.name.as_str()).min().unwrap_or("");
     first.rfind('/').map_or(String::new(), |end| first[..=end].to_owned())
-}
-
-/// The last number in a file name without extension.
-pub(crate) fn number(name: &str) -> Option<usize> {
-    let stem = name.rsplit('/').next()?.split('.').next()?;
-    stem.rsplit(|c: char| !c.is_ascii_digit()).find(|digits| !digits.is_empty())?.parse().ok()
 }

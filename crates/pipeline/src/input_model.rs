@@ -2,12 +2,12 @@
 
 use std::path::{Path, PathBuf};
 
+use tiepoint_input::fingerprint::hash_files;
 use tiepoint_io::colmap::read_model;
 use tiepoint_sfm::scene::Reconstruction;
 use tiepoint_sfm::{self as sfm, MapperOptions, RigMode, Transferred, transfer_model};
 
 use crate::export::model_files;
-use crate::fingerprint::hash_files;
 use crate::{Error, model_folder, option_keys};
 
 /// A COLMAP model whose images with their poses are the beginning of a map.

@@ -1,9 +1,6 @@
 #![doc = include_str!("../README.md")]
 
 mod adjust;
-mod calibration;
-mod calibration_facts;
-mod cameras;
 mod cloud;
 pub mod colmap;
 mod colors;
@@ -19,28 +16,22 @@ mod extractors;
 mod features;
 mod file_marks;
 mod file_names;
-mod fingerprint;
 mod foreign_database;
 mod format;
-mod grouping;
 mod image_names;
 mod input_model;
 mod kalibr;
 mod keypoints;
-mod known_intrinsics;
 mod loaded_features;
 mod localize;
 mod mapping;
 mod matching;
-mod memory;
 mod model_location;
 mod model_photos;
 mod model_tools;
 mod option_keys;
-mod ordered;
 mod page_file;
 mod pair_choice;
-mod photos;
 mod reconstruct;
 mod records;
 mod report;
@@ -52,7 +43,6 @@ mod rig_report;
 mod rigid;
 mod rolling_shutter;
 mod scale;
-mod sequences;
 mod stage;
 mod staged_model;
 mod surface;
@@ -63,13 +53,11 @@ mod view;
 mod workspace;
 
 pub use adjust::{AdjustReport, AdjustStep, adjust};
-pub use calibration::CalibrationSource;
-pub use cameras::Calibration;
 pub use cloud::{CloudEvaluation, RegisteredCloud, evaluate_cloud, read_cloud, register_cloud};
 pub use dense::dense;
 pub use dense_options::DenseOptions;
 pub use depth_pictures::DenseView;
-pub use error::{Error, Size};
+pub use error::Error;
 pub use evaluate::{
     Auc, ErrorStatistics, FocalLength, PoseEvaluation, Truth, TruthFormat, evaluate_poses,
     model_folder,
@@ -81,7 +69,6 @@ pub use export::{
 };
 pub use features::{FeatureOptions, extract_features};
 pub use foreign_database::import_features;
-pub use grouping::CameraGrouping;
 pub use input_model::InputModel;
 pub use localize::{
     CameraSource, LocalizeOptions, LocalizeReport, LocalizedPhoto, PhotoPose, localize,
@@ -94,11 +81,10 @@ pub use model_tools::{
 };
 pub use page_file::{refuse_foreign_page, write_page};
 pub use pair_choice::{PairChoice, choose_pairs};
-pub use photos::Photos;
 pub use reconstruct::{Options, reconstruct};
 pub use report::{
     CameraReport, DenseReport, FeaturesReport, MapReport, MatchReport, ModelReport, Report,
-    SkippedImage, StageReports,
+    StageReports,
 };
 pub use rig_evaluation::{RigEvaluation, evaluate_rig};
 pub use rig_file::{ConstraintKind, RigCamera, RigClock, RigClockState, RigFile};
@@ -111,6 +97,10 @@ pub use surface::{SurfaceEvaluation, evaluate_surface};
 pub use table::{Table, TableRow};
 pub use tiepoint_dense::undistort::UndistortOptions;
 pub use tiepoint_eval as eval;
+pub use tiepoint_input as input;
+pub use tiepoint_input::{
+    Calibration, CalibrationSource, CameraGrouping, Photos, Size, SkippedImage,
+};
 pub use tiepoint_io as io;
 pub use tiepoint_sfm as sfm;
 pub use tiepoint_store as store;

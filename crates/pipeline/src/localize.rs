@@ -6,10 +6,12 @@ use std::time::Instant;
 
 use rayon::prelude::*;
 use serde::Serialize;
+use tiepoint_input::cameras::Calibration;
+use tiepoint_input::cameras::{CalibrationSource, Calibrations};
+use tiepoint_input::{DEFAULT_MAX_PIXELS, Exif, ImageFolder, ImageInfo};
 use tiepoint_io::colmap::{Format, read_model};
 use tiepoint_io::database::Database;
 use tiepoint_io::features::{self as sift, Features};
-use tiepoint_io::{DEFAULT_MAX_PIXELS, Exif, ImageFolder, ImageInfo};
 use tiepoint_sfm::geometry::Rng;
 use tiepoint_sfm::matching::{self, RetrievalIndex, Vocabulary};
 use tiepoint_sfm::scene::{
@@ -22,8 +24,6 @@ use tiepoint_sfm::{
 };
 use tiepoint_store::Error as StoreError;
 
-use crate::calibration::{CalibrationSource, Calibrations};
-use crate::cameras::Calibration;
 use crate::database_scene::read_scene;
 use crate::export::{model_files, write_colmap};
 use crate::extractors::Extractors;
@@ -272,7 +272,7 @@ struct ReferenceModel {
 /// What the photos of a camera have in common: the body, the lens and its setting.
 #[derive(Clone, Debug, PartialEq)]
 struct ExifKey {
-    device: tiepoint_io::Device,
+    device: tiepoint_input::images::Device,
     setting: [Option<f64>; 3],
 }
 

@@ -6,16 +6,18 @@ use std::ops::ControlFlow;
 use std::path::PathBuf;
 use std::time::Instant;
 
+use tiepoint_input::ImageFolder;
+use tiepoint_input::cameras::CalibrationFacts;
+use tiepoint_input::fingerprint::hash_file;
 use tiepoint_io::colmap::Format;
 use tiepoint_io::database::{Database, DatabaseFrame};
-use tiepoint_io::{ImageFolder, ply, timestamps};
+use tiepoint_io::{ply, timestamps};
 use tiepoint_sfm::scene::{Camera, CameraId, CorrespondenceGraph, Image, ImageId, Reconstruction};
 use tiepoint_sfm::{
     self as sfm, Existing, Failure, MappedModel, MapperOptions, OptionalStage, RefineIntrinsics,
     RigMode, VerifyOptions, rig_candidates, rig_pairs,
 };
 
-use crate::calibration_facts::CalibrationFacts;
 use crate::colors::color_points;
 use crate::database_scene::read_scene;
 use crate::file_names::{SPARSE, is_rig_name, model_path, rig_name};
@@ -29,7 +31,7 @@ use crate::staged_model::{model_names, stage_model};
 use crate::workspace::{POINTS, rigs_in};
 use crate::{
     Error, Event, MapReport, ModelReport, RigReport, Size, Stage, Watch, Workspace, emit,
-    fingerprint, option_keys,
+    option_keys,
 };
 
 /// Options of mapping.
@@ -93,7 +95,7 @@ pub fn map(
         options = model.options(options)?;
         workspace.folder.protect(model.files());
     }
-    let hash = rig_calibration.map(fingerprint::hash_file).transpose()?;
+    let hash = rig_calibration.map(hash_file).transpose()?;
     texts.extend(option_keys::rig_calibration_options(hash, refine_extrinsics));
     let recipe = Recipe::new(workspace.fingerprint(Stage::Match)?, texts);
     let progress = workspace.begin(STAGE, &recipe, redo)?;

@@ -7,6 +7,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::time::Instant;
 
 use rayon::prelude::*;
+use tiepoint_input::parallel::for_each_in_order;
 use tiepoint_io::database::Database;
 use tiepoint_io::features::Features;
 use tiepoint_sfm::geometry::Rng;
@@ -17,7 +18,6 @@ use tiepoint_sfm::{ImageObservations, VerifyOptions, verify_pair};
 use crate::foreign_database::{has_imported_pairs, require_sift, verify_imported_pairs};
 use crate::loaded_features::LoadedFeatures;
 use crate::option_keys::PAIRS;
-use crate::ordered::for_each_in_order;
 use crate::pair_choice::{self, IMAGES_READ_AT_ONCE, PairChoice};
 use crate::records::{Progress, Recipe};
 use crate::{Error, Event, MatchReport, Stage, Watch, Workspace, emit, option_keys};

@@ -2,9 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
+use tiepoint_input::cameras::CalibrationFacts;
 use tiepoint_sfm::scene::Reconstruction;
 
-use crate::calibration_facts::CalibrationFacts;
 use crate::file_names::{model_path, rig_name};
 use crate::records::Records;
 use crate::workspace::{DATABASE, REPORT, STAGES, TIMESTAMPS, current_records, is_workspace};

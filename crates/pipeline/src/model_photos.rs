@@ -5,11 +5,11 @@ use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 use tiepoint_dense::undistort::Undistortion;
+use tiepoint_input::fingerprint::of_photo;
+use tiepoint_input::{ImageFolder, Luma, Rgb};
 use tiepoint_io::database::Database;
-use tiepoint_io::{ImageFolder, Luma, Rgb};
 use tiepoint_sfm::scene::{Image, Reconstruction};
 
-use crate::fingerprint::of_photo;
 use crate::model_location::ModelLocation;
 use crate::workspace::{DATABASE, current_records, is_workspace};
 use crate::{Error, model_folder};

@@ -9,6 +9,8 @@
 //! Stages of existing workspaces become invalid if a value changes its meaning, or if a new key has
 //! a value other than `none`.
 
+use tiepoint_input::cameras::Calibration;
+use tiepoint_input::cameras::CameraGrouping;
 use tiepoint_io::features::{
     DomainSizes, Limit, Normalization, Options as DetectorOptions, Orientation,
 };
@@ -22,8 +24,6 @@ use tiepoint_sfm::{
 };
 
 use crate::DenseOptions;
-use crate::cameras::Calibration;
-use crate::grouping::CameraGrouping;
 
 /// Value of an option that is not given.
 pub(crate) const NONE: &str = "none";
@@ -358,7 +358,7 @@ fn loss_text(loss: &Loss) -> String {
 
 #[cfg(test)]
 mod tests {
-    use tiepoint_io::DEFAULT_MAX_PIXELS;
+    use tiepoint_input::DEFAULT_MAX_PIXELS;
     use tiepoint_sfm::RigMode;
     use tiepoint_sfm::geometry::CameraModelKind;
 

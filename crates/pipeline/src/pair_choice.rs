@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use rayon::prelude::*;
+use tiepoint_input::sequences::camera_images;
 use tiepoint_io::database::Database;
 use tiepoint_io::features::Descriptor;
 use tiepoint_io::timestamps;
@@ -13,7 +14,6 @@ use tiepoint_sfm::matching::{
 use tiepoint_sfm::natural_order;
 use tiepoint_sfm::scene::{Image, ImageId, ImagePair};
 
-use crate::sequences::camera_images;
 use crate::{Error, Stage, Workspace};
 
 /// Images that are read from the database at a time.

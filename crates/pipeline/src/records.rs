@@ -13,10 +13,10 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
+use tiepoint_input::cameras::FOUND;
 use tiepoint_io::database::StageRow;
 use tiepoint_store::{Error as StoreError, require_regular_file};
 
-use crate::calibration_facts::FOUND;
 use crate::option_keys::{NONE, difference, shown};
 use crate::{Error, Stage, format};
 

@@ -6,7 +6,7 @@ use tiepoint_sfm::scene::{Camera, CameraId, Reconstruction};
 use tiepoint_store::{Error as StoreError, require_regular_file};
 
 use crate::file_names::DENSE_CLOUD;
-use crate::{Error, RigReport, ScaleReport, Stage};
+use crate::{Error, RigReport, ScaleReport, SkippedImage, Stage};
 
 /// `report.json`: the results of all stages.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -53,16 +53,6 @@ pub struct FeaturesReport {
     pub notes: Vec<String>,
     /// Initial cameras.
     pub cameras: Vec<CameraReport>,
-}
-
-/// An image that was skipped.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(expecting = "an object")]
-pub struct SkippedImage {
-    /// Its name.
-    pub image: String,
-    /// The reason.
-    pub why: String,
 }
 
 /// Summary of matching.

@@ -3,12 +3,13 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
+use tiepoint_input::Error as InputError;
+use tiepoint_input::cameras::{camera_of_photo, is_named};
 use tiepoint_io::rig_calibration::{self, CameraOnRig, PhotosOfCamera};
 use tiepoint_sfm::scene::{Camera, CameraId, ImageId, Reconstruction, Rig, RigId, RigSensor};
 use tiepoint_sfm::{KnownFrame, KnownRigs, frames_by_time, pairs_by_name};
 
 use crate::Error;
-use crate::calibration::{camera_of_photo, is_named};
 
 /// Reads the rigs of a file for the photos of a scene. Cameras without known intrinsics get those
 /// of the file, if it has them and `takes_intrinsics`.
@@ -27,7 +28,8 @@ pub(crate) fn known_rigs(
     scene: &mut Reconstruction,
     refine_extrinsics: bool,
 ) -> Result<KnownRigs, Error> {
-    let fails = |what: String| Error::Calibration { path: path.to_owned(), what };
+    let fails =
+        |what: String| Error::Input(InputError::Calibration { path: path.to_owned(), what });
     let mut known = KnownRigs { refine_extrinsics, ..KnownRigs::default() };
     let mut photos_of_cameras: BTreeMap<CameraId, String> = BTreeMap::new();
     for cameras in rig_calibration::read(path)? {

@@ -5,10 +5,11 @@ use std::collections::BTreeMap;
 use serde::Serialize;
 use tiepoint_eval::geometry::Rigid3;
 use tiepoint_eval::{PosePair, RelativePoseSeries, Statistics, associate, relative_pose_series};
+use tiepoint_input::sequences::number;
 use tiepoint_sfm::scene::{CameraId, Image, Reconstruction};
 
 use crate::ErrorStatistics;
-use crate::image_names::{folder_of, number};
+use crate::image_names::folder_of;
 
 /// Statistics of the relative pose of two cameras in a model (p_i of Huang, Elhashash & Qin 2022)
 /// over all frames.

@@ -2,10 +2,9 @@
 
 use std::collections::BTreeMap;
 
+use tiepoint_input::sequences::prefix;
 use tiepoint_sfm::scene::Reconstruction;
 use tiepoint_sfm::{pairs_by_name, rig_candidates, rig_pairs};
-
-use crate::sequences::prefix;
 
 /// Fewest photos of a camera of a vehicle.
 const MIN_PHOTOS: usize = 3;

@@ -8,16 +8,16 @@ use serde::Serialize;
 use tiepoint_dense::undistort::{
     UndistortOptions, Undistortion, is_too_wide_for_pinhole, undistort_model,
 };
+use tiepoint_input::parallel::budget_bytes;
+use tiepoint_input::parallel::for_each_within_budget;
+use tiepoint_input::{Exif, Luma};
 use tiepoint_io::colmap::{Format, read_model};
-use tiepoint_io::{Exif, Luma};
 use tiepoint_sfm::scene::{Image, Reconstruction};
 use tiepoint_store::{OutputFolder, disk};
 
 use crate::colors::decoder_bytes;
 use crate::export::{model_files, refuse_shadow};
-use crate::memory::budget_bytes;
 use crate::model_photos::{ModelPhotos, undistorted_mask};
-use crate::ordered::for_each_within_budget;
 use crate::rolling_shutter::restore_detected_keypoints;
 use crate::staged_model::{model_names, stage_model};
 use crate::workspace::refuse_workspace;

@@ -1,28 +1,29 @@
 //! Videos as input: selected frames are written into the workspace as photos with capture times.
 //!
 //! A recording has its start time in whole seconds at best. If the soundtracks of two recordings
-//! correlate, they give the offset between the starts ([`audio_offset`]). The frames of the second
-//! one are selected at the times of the first one's, so that synchronous frames differ by at most
-//! half a frame interval.
-
-mod audio_offset;
-mod frame_selection;
+//! correlate, they give the offset between the starts ([`start_offset_s`]). The frames of the
+//! second one are selected at the times of the first one's, so that synchronous frames differ by at
+//! most half a frame interval.
 
 use std::fs;
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
-use tiepoint_io::video::{
+use tiepoint_input::Error as InputError;
+use tiepoint_input::fingerprint::hash_file_ends;
+use tiepoint_input::images::{is_image, is_unread_image};
+use tiepoint_input::video::{
+    Candidate, FrameSelector, RATE_HZ, STRETCH_S, Selected, start_offset_s,
+};
+use tiepoint_input::video::{
     Recording, Reduction, Transfer, VideoReader, is_stabilised, is_video, read_sound, recordings,
 };
-use tiepoint_io::{is_image, is_unread_image, timestamps};
+use tiepoint_io::timestamps;
 use tiepoint_store::{Error as StoreError, OutputFolder};
 
-use crate::fingerprint::hash_file_ends;
 use crate::format::json;
 use crate::{Error, Event, Photos, Stage, Watch, Workspace, emit};
-use frame_selection::{Candidate, FrameSelector, STRETCH_S, Selected};
 
 const FRAMES: &str = "frames";
 const RECORD: &str = "videos.json";
@@ -158,7 +159,8 @@ fn videos(inputs: &[PathBuf]) -> Result<Vec<PathBuf>, Error> {
     let of_photos = inputs.iter().find(|input| !files.iter().any(|file| file.starts_with(input)));
     match of_photos {
         Some(photos) if !files.is_empty() => {
-            Err(Error::MixedInput { photos: photos.clone(), video: files.swap_remove(0) })
+            Err(InputError::MixedInput { photos: photos.clone(), video: files.swap_remove(0) }
+                .into())
         }
         _ => Ok(files),
     }
@@ -181,7 +183,7 @@ fn with_unique_names(mut recordings: Vec<Recording>) -> Result<Vec<Recording>, E
     }
     for (index, recording) in recordings.iter().enumerate() {
         if recordings[..index].iter().any(|other| other.name == recording.name) {
-            return Err(Error::TwoVideosOfOneName { name: recording.name.clone() });
+            return Err(InputError::TwoVideosOfOneName { name: recording.name.clone() }.into());
         }
     }
     Ok(recordings)
@@ -307,13 +309,12 @@ fn start_offsets_s(recordings: &[Recording], watch: Watch) -> Result<Vec<Option<
         return Ok(offsets_s);
     };
     let sound = |recording: &Recording| -> Result<Vec<i16>, Error> {
-        let chapters =
-            recording.chapters.iter().map(|chapter| read_sound(chapter, audio_offset::RATE_HZ));
+        let chapters = recording.chapters.iter().map(|chapter| read_sound(chapter, RATE_HZ));
         Ok(chapters.collect::<Result<Vec<_>, _>>()?.concat())
     };
     let of_first = sound(first)?;
     for (other, offset_s) in others.iter().zip(&mut offsets_s[1..]) {
-        *offset_s = audio_offset::start_offset_s(&of_first, &sound(other)?);
+        *offset_s = start_offset_s(&of_first, &sound(other)?);
         if let Some(after_s) = *offset_s {
             let (reference, recording) = (first.name.as_str(), other.name.as_str());
             emit(watch, &Event::AudioOffset { reference, recording, after_s })?;
@@ -344,7 +345,10 @@ mod tests {
             fs::write(path(name), "").unwrap();
         }
         assert_eq!(videos(&[path("live")]).unwrap(), Vec::<PathBuf>::new());
-        assert!(matches!(videos(&[path("photos"), path("left")]), Err(Error::MixedInput { .. })));
+        assert!(matches!(
+            videos(&[path("photos"), path("left")]),
+            Err(Error::Input(InputError::MixedInput { .. }))
+        ));
         let files = videos(&[path("left"), path("right/GX010042.MP4")]).unwrap();
         assert_eq!(files.len(), 3);
         let named = with_unique_names(recordings(&files)).unwrap();
@@ -352,7 +356,7 @@ mod tests {
         assert_eq!(names, ["left-GX010042", "right-GX010042"]);
         assert!(matches!(
             with_unique_names(recordings(&[path("left/a.mp4"), path("left/a.mov")])),
-            Err(Error::TwoVideosOfOneName { .. })
+            Err(Error::Input(InputError::TwoVideosOfOneName { .. }))
         ));
     }
 }

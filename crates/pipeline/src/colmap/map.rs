@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use serde::Serialize;
-use tiepoint_io::ImageFolder;
+use tiepoint_input::ImageFolder;
 use tiepoint_io::colmap::{Format, read_model};
 use tiepoint_io::database::Database;
 use tiepoint_sfm::scene::{CorrespondenceGraph, ImageId, Reconstruction};

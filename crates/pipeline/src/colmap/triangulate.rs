@@ -4,7 +4,7 @@
 use std::collections::BTreeSet;
 use std::path::Path;
 
-use tiepoint_io::ImageFolder;
+use tiepoint_input::ImageFolder;
 use tiepoint_io::colmap::Format;
 use tiepoint_io::database::Database;
 use tiepoint_sfm::geometry::Rng;

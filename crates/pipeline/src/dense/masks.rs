@@ -4,10 +4,10 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use tiepoint_dense::undistort::Undistortion;
-use tiepoint_io::{ImageFolder, Luma};
+use tiepoint_input::fingerprint::fingerprint;
+use tiepoint_input::{ImageFolder, Luma};
 
 use crate::Error;
-use crate::fingerprint::fingerprint;
 use crate::model_photos::undistorted_mask;
 use crate::records::Records;
 

@@ -5,14 +5,14 @@ use std::convert::Infallible;
 use std::path::Path;
 
 use serde::Serialize;
-use tiepoint_io::{ImageFolder, Rgb};
+use tiepoint_input::parallel::budget_bytes;
+use tiepoint_input::parallel::for_each_within_budget;
+use tiepoint_input::{ImageFolder, Rgb};
 use tiepoint_sfm::scene::{Camera, Image, Keypoint, Reconstruction};
 
 use super::coding::{base64, evenly};
 use crate::colors::decoder_bytes;
-use crate::memory::budget_bytes;
 use crate::model_photos::{fingerprints_of, is_unchanged};
-use crate::ordered::for_each_within_budget;
 use crate::workspace::{current_records, is_workspace};
 
 /// Largest number of photos of a model in a page: all are decoded, which takes most of the time.

@@ -10,8 +10,9 @@
 
 use std::num::NonZeroUsize;
 
-use tiepoint_io::Rgb;
-use tiepoint_sfm::geometry::numeric::median;
+use tiepoint_geometry::numeric::median;
+
+use crate::Rgb;
 
 /// Approximate width of thumbnails.
 const THUMBNAIL_WIDTH: u32 = 320;
@@ -30,7 +31,7 @@ const MIN_BLOCKS: usize = 8;
 const MIN_MOVEMENT: f64 = 0.0025;
 /// Length of a stretch: every third frame at 30 Hz, as Huang, Elhashash & Qin 2022 take them. Half
 /// of it selects twice as many frames; with twice of it, cameras at 10 Hz lose every other frame.
-pub(super) const STRETCH_S: f64 = 0.1;
+pub const STRETCH_S: f64 = 0.1;
 /// A stretch is rounded to whole frames: it ends this share of a frame early. With a half, times in
 /// whole milliseconds would decide at the common rates of 15 and 25 Hz.
 const ROUNDING: f64 = 0.6;
@@ -41,10 +42,13 @@ const ROUNDING: f64 = 0.6;
 const MAX_MOVEMENT: f64 = 0.1;
 
 /// A frame with its sharpness and its thumbnails.
-pub(super) struct Candidate {
-    pub(super) index: usize,
-    pub(super) time_s: f64,
-    pub(super) image: Rgb,
+pub struct Candidate {
+    /// Number of the frame in the video.
+    pub index: usize,
+    /// Time of the frame, in seconds.
+    pub time_s: f64,
+    /// The pixels.
+    pub image: Rgb,
     small: Thumbnail,
     coarse: Thumbnail,
     sharpness: f64,
@@ -53,7 +57,8 @@ pub(super) struct Candidate {
 }
 
 impl Candidate {
-    pub(super) fn new(index: usize, time_s: f64, image: Rgb) -> Self {
+    /// A frame with the time `time_s` in seconds.
+    pub fn new(index: usize, time_s: f64, image: Rgb) -> Self {
         let small = Thumbnail::new(&image, THUMBNAIL_WIDTH);
         let coarse = Thumbnail::new(&image, COARSE_WIDTH);
         Self { index, time_s, sharpness: sharpness(&image), image, small, coarse, moved: 0.0 }
@@ -160,15 +165,16 @@ impl SharpestOfStretch {
 }
 
 /// A selected frame.
-pub(super) struct Selected {
-    pub(super) frame: Candidate,
+pub struct Selected {
+    /// The frame.
+    pub frame: Candidate,
     /// Whether it is the frame nearest to a target time.
-    pub(super) is_target: bool,
+    pub is_target: bool,
 }
 
 /// Selects the frame nearest to each target time. Where there are none for longer than their
 /// interval, also before the first and after the last, selects the sharpest of each stretch.
-pub(super) struct FrameSelector {
+pub struct FrameSelector {
     /// Sorted.
     target_times_s: Vec<f64>,
     /// Half of the usual interval of the target times.
@@ -183,7 +189,7 @@ pub(super) struct FrameSelector {
 
 impl FrameSelector {
     /// `every`: number of frames of a stretch; `None`: by time and image motion.
-    pub(super) fn new(every: Option<NonZeroUsize>, mut target_times_s: Vec<f64>) -> Self {
+    pub fn new(every: Option<NonZeroUsize>, mut target_times_s: Vec<f64>) -> Self {
         target_times_s.sort_by(f64::total_cmp);
         let mut intervals_s: Vec<f64> =
             target_times_s.windows(2).map(|two| two[1] - two[0]).collect();
@@ -193,7 +199,7 @@ impl FrameSelector {
     }
 
     /// Adds the next frame; returns the frames that are selected now.
-    pub(super) fn add(&mut self, mut frame: Candidate) -> Vec<Selected> {
+    pub fn add(&mut self, mut frame: Candidate) -> Vec<Selected> {
         let mut selected = Vec::new();
         self.others.follow(&mut frame);
         if let Some(nearest) = self.nearest.take() {
@@ -233,7 +239,7 @@ impl FrameSelector {
     }
 
     /// The last selection, after the last frame.
-    pub(super) fn end(&mut self) -> Option<Selected> {
+    pub fn end(&mut self) -> Option<Selected> {
         match self.nearest.take() {
             Some(frame) => Some(Selected { frame, is_target: true }),
             None => self.end_of_others(),

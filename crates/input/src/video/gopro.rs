@@ -9,7 +9,7 @@ use std::fs::File;
 use std::io::{self, BufReader, Read, Seek, SeekFrom};
 use std::path::Path;
 
-use crate::{Error, Result};
+use tiepoint_io::{Error, Result};
 
 /// Upper limit in bytes. Settings take some hundred bytes, those of a whole recording some
 /// thousand.

@@ -7,9 +7,10 @@ use std::path::{Path, PathBuf};
 
 use exif::{In, Rational, Tag, Value};
 use image::{DynamicImage, GrayImage, ImageFormat, Luma as Grey, Rgb as Pixel, RgbImage};
+use tiepoint_input::{ImageFolder, Luma, Rgb};
 use tiepoint_io::features::{self, Features, GrayView};
 use tiepoint_io::store::MANIFEST;
-use tiepoint_io::{ImageFolder, Luma, Rgb, timestamps};
+use tiepoint_io::timestamps;
 
 /// JPEG at quality 95 of a smooth image: a few grey levels.
 const JPEG_TOLERANCE: i32 = 6;
@@ -505,7 +506,7 @@ fn exif_gives_focal_length_and_time() {
     assert_eq!(info("a.jpg").time_s, Some(1_709_210_096.25));
     assert_eq!(info("1403636579763555584.jpg").time_s, Some(1_403_636_579.763_555_6));
     for name in ["b.jpg", "c.jpg"] {
-        assert_eq!(info(name).exif, tiepoint_io::Exif::default());
+        assert_eq!(info(name).exif, tiepoint_input::Exif::default());
         assert_eq!(info(name).time_s, None);
     }
 }

@@ -3,34 +3,48 @@
 use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
-use tiepoint_io::{ImageFolder, ImageInfo};
+use serde::{Deserialize, Serialize};
 
-use crate::calibration::Calibrations;
+use super::calibration::Calibrations;
+use super::grouping::{CameraGrouping, CameraNumbers, GroupedPhoto};
 use crate::fingerprint::{fingerprint, of_photo};
-use crate::grouping::{CameraGrouping, CameraNumbers, GroupedPhoto};
-use crate::{Error, Size, SkippedImage};
+use crate::images::{ImageFolder, ImageInfo};
+use crate::{Error, Size};
+
+/// An image that was skipped.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(expecting = "an object")]
+pub struct SkippedImage {
+    /// Its name.
+    pub image: String,
+    /// The reason.
+    pub why: String,
+}
 
 /// The files of the input photos; their contents are not read yet.
 #[derive(Clone, Debug)]
 pub struct Photos {
-    pub(crate) folder: ImageFolder,
-    pub(crate) inputs: Vec<PathBuf>,
+    /// The images of all inputs.
+    pub folder: ImageFolder,
+    /// The inputs, as absolute paths.
+    pub inputs: Vec<PathBuf>,
     masks: Option<PathBuf>,
     /// What the report notes about them.
-    pub(crate) notes: Vec<String>,
+    pub notes: Vec<String>,
 }
 
 /// A photo whose header could be read.
-pub(crate) struct Photo {
+pub struct Photo {
     /// Index in [`Photos::folder`].
-    pub(crate) index: usize,
+    pub index: usize,
     /// Index of its camera among the cameras with a usable photo.
-    pub(crate) camera: usize,
+    pub camera: usize,
     /// Number of its lens. Cameras of one lens differ in the size of their photos.
-    pub(crate) lens: usize,
+    pub lens: usize,
     /// Number of its known calibration.
-    pub(crate) calibration: Option<usize>,
-    pub(crate) info: ImageInfo,
+    pub calibration: Option<usize>,
+    /// Its size and EXIF data.
+    pub info: ImageInfo,
 }
 
 impl Photos {
@@ -43,7 +57,8 @@ impl Photos {
     pub fn open(inputs: &[PathBuf], masks: Option<&Path>) -> Result<Self, Error> {
         let folder = ImageFolder::open(inputs, masks)?;
         // Absolute, so that a later run in another working directory finds them.
-        let absolute = |path: &PathBuf| path.canonicalize().map_err(Error::unreadable(&path));
+        let absolute =
+            |path: &PathBuf| path.canonicalize().map_err(tiepoint_store::Error::unreadable(path));
         let photos = Self {
             notes: folder.notes().to_vec(),
             folder,
@@ -59,29 +74,30 @@ impl Photos {
     }
 
     /// The same photos with a limit on their pixels; larger ones are skipped.
-    pub(crate) fn with_max_pixels(&self, max_pixels: u64) -> Self {
+    pub fn with_max_pixels(&self, max_pixels: u64) -> Self {
         Self { folder: self.folder.clone().with_max_pixels(max_pixels), ..self.clone() }
     }
 
     /// [`Error::TooFewPhotos`] with the reasons why the others are skipped.
-    pub(crate) fn too_few(&self, usable: usize, skipped: Vec<String>) -> Error {
+    pub fn too_few(&self, usable: usize, skipped: Vec<String>) -> Error {
         let path = self.inputs.first().cloned().unwrap_or_default();
         let found = self.folder.images().len() + self.folder.skipped().len();
         Error::TooFewPhotos { path, found, usable, skipped }
     }
 
     /// Paths of the photos.
-    pub(crate) fn files(&self) -> impl Iterator<Item = &Path> {
+    pub fn files(&self) -> impl Iterator<Item = &Path> {
         (0..self.folder.images().len()).map(|index| self.folder.path(index))
     }
 
-    pub(crate) fn name(&self, photo: &Photo) -> &str {
+    /// The name of a photo.
+    pub fn name(&self, photo: &Photo) -> &str {
         &self.folder.images()[photo.index].name
     }
 
     /// The name and the fingerprint of each of these photos; those that cannot be read are left
     /// out.
-    pub(crate) fn fingerprints(&self, of: &[Photo]) -> Vec<(&str, String)> {
+    pub fn fingerprints(&self, of: &[Photo]) -> Vec<(&str, String)> {
         let fingerprint =
             |photo: &Photo| Some((self.name(photo), of_photo(self.folder.path(photo.index)).ok()?));
         of.par_iter().filter_map(fingerprint).collect()
@@ -92,7 +108,7 @@ impl Photos {
     /// # Errors
     ///
     /// The folder of masks cannot be read.
-    pub(crate) fn fingerprint(&self) -> Result<String, Error> {
+    pub fn fingerprint(&self) -> Result<String, Error> {
         let photos = fingerprint(&self.folder)?;
         let Some(masks) = &self.masks else { return Ok(photos) };
         let masks = fingerprint(&ImageFolder::open(std::slice::from_ref(masks), None)?)?;
@@ -104,7 +120,7 @@ impl Photos {
     /// # Errors
     ///
     /// Photos that `grouping` makes one camera differ in size, or fewer than two are usable.
-    pub(crate) fn survey(
+    pub fn survey(
         &self,
         grouping: CameraGrouping,
         calibrations: &Calibrations,

@@ -14,13 +14,14 @@ use std::process::{Child, ChildStdout, Command, Stdio};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::thread::JoinHandle;
 
-use crate::exif::seconds_of_date;
-pub use crate::gopro::is_stabilised;
+pub use super::gopro::is_stabilised;
+use super::tone_map::ToneMap;
+pub use super::tone_map::Transfer;
+use crate::images::Rgb;
+use crate::images::seconds_of_date;
+use crate::images::{DEFAULT_MAX_PIXELS, SizeLimit};
 use crate::images::{VIDEO_EXTENSIONS, has_extension};
-use crate::pixels::{DEFAULT_MAX_PIXELS, SizeLimit};
-use crate::tone_map::ToneMap;
-pub use crate::tone_map::Transfer;
-use crate::{Error, Result, Rgb};
+use tiepoint_io::{Error, Result};
 use tiepoint_store::require_regular_file;
 
 /// Lines of the log of ffmpeg that an error quotes.

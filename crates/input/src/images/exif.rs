@@ -4,8 +4,7 @@ use std::io::{BufRead, Cursor, Seek};
 use std::path::Path;
 
 use exif::{In, Rational, Tag, Value};
-
-use crate::{Error, Result};
+use tiepoint_io::{Error, Result};
 
 /// Diagonal of 35 mm film (36 mm × 24 mm), in millimetres: the "35 mm equivalent" focal length
 /// gives the same diagonal angle of view (CIPA DCG-001).

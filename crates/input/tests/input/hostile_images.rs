@@ -5,7 +5,7 @@ use std::fs;
 use std::io::Cursor;
 
 use image::{DynamicImage, ImageFormat, RgbImage};
-use tiepoint_io::{ABSOLUTE_MAX_PIXELS, DEFAULT_MAX_PIXELS, ImageFolder, Luma, Rgb};
+use tiepoint_input::{ABSOLUTE_MAX_PIXELS, DEFAULT_MAX_PIXELS, ImageFolder, Luma, Rgb};
 
 fn encoded(image: &DynamicImage, format: ImageFormat) -> Vec<u8> {
     let mut bytes = Vec::new();

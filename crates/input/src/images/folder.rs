@@ -6,12 +6,13 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
 
+use tiepoint_io::{Error, Result};
 use tiepoint_scene::CameraId;
 use tiepoint_store::{escaped, irregular_kind, is_inside, manifest_files, require_regular_file};
 
-use crate::exif::Exif;
-use crate::pixels::{self, SizeLimit, Turn};
-use crate::{DEFAULT_MAX_PIXELS, Error, Luma, Result, Rgb};
+use super::exif::Exif;
+use super::pixels::{self, SizeLimit, Turn};
+use super::{DEFAULT_MAX_PIXELS, Luma, Rgb};
 
 /// File name extensions of images, in any case.
 const IMAGE_EXTENSIONS: [&str; 11] =

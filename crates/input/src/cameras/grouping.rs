@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::str::FromStr;
 
-use tiepoint_io::{Device, ImageInfo};
+use crate::images::{Device, ImageInfo};
 
 /// The photos that share a camera, i.e. one set of intrinsics.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -132,12 +132,12 @@ enum CameraKey {
 /// A photo, as far as grouping needs it.
 pub(crate) struct GroupedPhoto<'a> {
     /// Its number among the usable photos.
-    pub(crate) index: usize,
+    pub index: usize,
     /// Number of its folder.
-    pub(crate) folder: usize,
+    pub folder: usize,
     /// Number of its known calibration.
-    pub(crate) calibration: Option<usize>,
-    pub(crate) info: &'a ImageInfo,
+    pub calibration: Option<usize>,
+    pub info: &'a ImageInfo,
 }
 
 /// Numbers lenses and cameras in the order of their first photos.
@@ -187,7 +187,7 @@ impl CameraNumbers {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use tiepoint_io::Exif;
+    use crate::Exif;
 
     fn info(width: u32, height: u32, exif: Exif) -> ImageInfo {
         ImageInfo { width, height, time_s: None, exif }

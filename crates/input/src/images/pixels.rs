@@ -8,11 +8,11 @@ use image::codecs::jpeg::JpegEncoder;
 use image::imageops::FilterType;
 use image::metadata::Orientation;
 use image::{ColorType, DynamicImage, ExtendedColorType, ImageDecoder, ImageFormat, ImageReader};
+use tiepoint_io::{Error, Result};
+use tiepoint_store::AtomicFile;
 
-use crate::atomic::write_atomic;
-use crate::exif::Exif;
-use crate::jpeg::{self, Planes};
-use crate::{Error, Result};
+use super::exif::Exif;
+use super::jpeg::{self, Planes};
 
 /// Default limit: images of more than 256 million pixels are refused. A file of a few kilobytes can
 /// claim any size, and decoding takes some ten bytes a pixel. The limit is above the largest
@@ -175,7 +175,7 @@ pub(crate) fn write_png(
     color: ExtendedColorType,
 ) -> Result<()> {
     let bytes = png(path, data, width, height, color)?;
-    write_atomic(path, |file| file.write_all(&bytes))
+    Ok(AtomicFile::write_with(path, |file| file.write_all(&bytes))?)
 }
 
 /// The bytes of a PNG file; `path` is for errors.
@@ -266,7 +266,7 @@ impl Rgb {
             _ => image::write_buffer_with_format(&mut bytes, data, width, height, color, format),
         };
         written.map_err(|cause| Error::content(path, cause.to_string()))?;
-        write_atomic(path, |file| file.write_all(bytes.get_ref()))
+        Ok(AtomicFile::write_with(path, |file| file.write_all(bytes.get_ref()))?)
     }
 
     /// The bytes of a PNG file.

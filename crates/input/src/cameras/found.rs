@@ -2,14 +2,14 @@
 
 use std::collections::BTreeMap;
 
-use tiepoint_io::{Device, ImageInfo, is_plausible_focal};
-use tiepoint_sfm::geometry::{CameraModelKind, Intrinsics};
-use tiepoint_sfm::scene::{Camera, CameraId};
+use tiepoint_geometry::{CameraModelKind, Intrinsics};
+use tiepoint_scene::{Camera, CameraId};
 
-use crate::calibration::Calibrations;
-use crate::calibration_facts::CalibrationFacts;
-use crate::known_intrinsics::{assumed_size, camera_of};
-use crate::photos::{Photo, Photos};
+use super::calibration::Calibrations;
+use super::facts::CalibrationFacts;
+use super::known_intrinsics::{assumed_size, camera_of};
+use super::photos::{Photo, Photos};
+use crate::images::{Device, ImageInfo, is_plausible_focal};
 use crate::{CameraGrouping, Error, Size};
 
 /// Prior knowledge of the intrinsics of the cameras without a calibration file.
@@ -45,7 +45,7 @@ impl Calibration {
     /// # Errors
     ///
     /// Known intrinsics do not fit the photo, or a given focal length is that of no lens.
-    pub(crate) fn of_photo(&self, name: &str, info: &ImageInfo) -> Result<Camera, Error> {
+    pub fn of_photo(&self, name: &str, info: &ImageInfo) -> Result<Camera, Error> {
         self.camera(name, info, sides(info))
     }
 
@@ -83,11 +83,11 @@ impl Calibration {
 }
 
 /// The cameras of the photos.
-pub(crate) struct FoundCameras {
+pub struct FoundCameras {
     /// Initial intrinsics.
-    pub(crate) cameras: Vec<Camera>,
+    pub cameras: Vec<Camera>,
     /// Which of them are calibrated, and which share a lens.
-    pub(crate) facts: CalibrationFacts,
+    pub facts: CalibrationFacts,
 }
 
 impl FoundCameras {
@@ -97,7 +97,7 @@ impl FoundCameras {
     ///
     /// Known intrinsics do not fit a photo, or are for photos of several sizes, or a given focal
     /// length is that of no lens.
-    pub(crate) fn new(
+    pub fn new(
         photos: &Photos,
         usable: &[Photo],
         calibration: &Calibration,
@@ -224,7 +224,7 @@ fn require_one_orientation(
 }
 
 /// The first photo of each camera. Cameras are numbered in the order of their first photos.
-pub(crate) fn firsts(usable: &[Photo]) -> impl Iterator<Item = &Photo> {
+pub fn firsts(usable: &[Photo]) -> impl Iterator<Item = &Photo> {
     let mut known = 0;
     usable.iter().filter(move |photo| {
         let is_first = photo.camera == known;
@@ -236,7 +236,7 @@ pub(crate) fn firsts(usable: &[Photo]) -> impl Iterator<Item = &Photo> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use tiepoint_io::Exif;
+    use crate::Exif;
 
     #[test]
     fn focal_length_is_the_given_one_or_that_of_exif_or_the_default() {

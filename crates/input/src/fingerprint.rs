@@ -10,16 +10,15 @@ use std::io::{self, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
-use tiepoint_io::ImageFolder;
 use tiepoint_store::require_regular_file;
 
-use crate::Error;
+use crate::{Error, ImageFolder};
 
 /// Bytes hashed at each end of a file.
 const END: u64 = 64 << 10;
 
 /// Fingerprint of all images of a folder. An unreadable image has a hash of zeros.
-pub(crate) fn fingerprint(folder: &ImageFolder) -> Result<String, Error> {
+pub fn fingerprint(folder: &ImageFolder) -> Result<String, Error> {
     let hashes: Vec<[u8; 32]> = (0..folder.images().len())
         .into_par_iter()
         .map(|index| hash_ends(folder.path(index)).unwrap_or_default())
@@ -34,34 +33,34 @@ pub(crate) fn fingerprint(folder: &ImageFolder) -> Result<String, Error> {
 }
 
 /// Fingerprint of one image file.
-pub(crate) fn of_photo(path: &Path) -> io::Result<String> {
+pub fn of_photo(path: &Path) -> io::Result<String> {
     Ok(blake3::Hash::from_bytes(hash_ends(path)?).to_hex().to_string())
 }
 
 /// Fingerprint of a small file, of its whole content.
-pub(crate) fn hash_file(path: &Path) -> Result<String, Error> {
+pub fn hash_file(path: &Path) -> Result<String, Error> {
     require_regular_file(path)?;
-    let bytes = std::fs::read(path).map_err(Error::unreadable(path))?;
+    let bytes = std::fs::read(path).map_err(tiepoint_store::Error::unreadable(path))?;
     Ok(blake3::hash(&bytes).to_hex().to_string())
 }
 
 /// Fingerprint of a list of files, without their names.
-pub(crate) fn hash_file_ends(paths: &[PathBuf]) -> Result<String, Error> {
+pub fn hash_file_ends(paths: &[PathBuf]) -> Result<String, Error> {
     let mut all = blake3::Hasher::new();
     for path in paths {
         require_regular_file(path)?;
-        all.update(&hash_ends(path).map_err(Error::unreadable(&path))?);
+        all.update(&hash_ends(path).map_err(tiepoint_store::Error::unreadable(&path))?);
     }
     Ok(all.finalize().to_hex().to_string())
 }
 
 /// Fingerprint of a list of files, of their whole contents, without their names.
-pub(crate) fn hash_files(paths: &[PathBuf]) -> Result<String, Error> {
+pub fn hash_files(paths: &[PathBuf]) -> Result<String, Error> {
     let mut all = blake3::Hasher::new();
     for path in paths {
         require_regular_file(path)?;
         let hash = hash_contents(path);
-        all.update(&hash.map_err(Error::unreadable(&path))?);
+        all.update(&hash.map_err(tiepoint_store::Error::unreadable(&path))?);
     }
     Ok(all.finalize().to_hex().to_string())
 }

@@ -2,11 +2,10 @@
 
 use std::collections::BTreeMap;
 
-use tiepoint_sfm::matching::{CameraImages, Sequence, SequenceOrder};
-use tiepoint_sfm::scene::Image;
+use tiepoint_matching::{CameraImages, Sequence, SequenceOrder};
+use tiepoint_scene::Image;
 
 use crate::Error;
-use crate::image_names::number;
 
 /// Largest ratio of the upper quartile of the intervals to the lower one in a sequence. It is 1
 /// for an interval timer and 1.9 for the sharpest frame of each stretch of a video. It is 4.8 for
@@ -23,7 +22,7 @@ const MIN_IMAGES: usize = 3;
 /// # Errors
 ///
 /// A time is not finite.
-pub(crate) fn camera_images(
+pub fn camera_images(
     images: &[Image],
     times: &BTreeMap<String, f64>,
 ) -> Result<Vec<CameraImages>, Error> {
@@ -56,8 +55,14 @@ pub(crate) fn camera_images(
     groups.into_values().map(group).collect()
 }
 
+/// The last number in a file name without extension.
+pub fn number(name: &str) -> Option<usize> {
+    let stem = name.rsplit('/').next()?.split('.').next()?;
+    stem.rsplit(|c: char| !c.is_ascii_digit()).find(|digits| !digits.is_empty())?.parse().ok()
+}
+
 /// A name up to its last number: `left/IMG_` of `left/IMG_0012.jpg`.
-pub(crate) fn prefix(name: &str) -> &str {
+pub fn prefix(name: &str) -> &str {
     let start = name.rfind('/').map_or(0, |slash| slash + 1);
     let stem = name[start..].split('.').next().unwrap_or("");
     let before = stem.trim_end_matches(|c: char| !c.is_ascii_digit());
@@ -74,7 +79,7 @@ fn is_regular(values: &[f64], resolution: f64) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use tiepoint_sfm::scene::CameraId;
+    use tiepoint_scene::CameraId;
 
     use super::*;
 

@@ -7,10 +7,10 @@
 //! it does for a periodic sound.
 
 use rayon::prelude::*;
-use tiepoint_sfm::geometry::numeric::median;
+use tiepoint_geometry::numeric::median;
 
 /// Sample rate of the soundtracks; voices have little energy above half of it.
-pub(super) const RATE_HZ: u32 = 8000;
+pub const RATE_HZ: u32 = 8000;
 /// Rate of the log energy.
 const FINE_HZ: usize = 1000;
 /// Rate of the log energy for the coarse search.
@@ -29,7 +29,7 @@ const MEDIAN_OF_NORMAL: f64 = 0.6745;
 
 /// Start of `b` minus start of `a`, in seconds; `None` if the correlation has no clear peak. `a`
 /// and `b` are mono samples at [`RATE_HZ`].
-pub(super) fn start_offset_s(a: &[i16], b: &[i16]) -> Option<f64> {
+pub fn start_offset_s(a: &[i16], b: &[i16]) -> Option<f64> {
     let [fine_a, fine_b] = [a, b].map(loudness);
     let [coarse_a, coarse_b] = [&fine_a, &fine_b].map(|fine| coarse(fine));
     let (coarse_a, coarse_b) = (LevelSignal::new(coarse_a), LevelSignal::new(coarse_b));
@@ -142,7 +142,7 @@ fn dot(a: &[f32], b: &[f32]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use tiepoint_sfm::geometry::Rng;
+    use tiepoint_geometry::Rng;
 
     const SECOND: usize = RATE_HZ as usize;
     /// Sound travels 1.7 m in this time, more than the distance of the microphones.

@@ -3,8 +3,9 @@
 
 use std::path::Path;
 
-use crate::Result;
-use crate::pixels::write_png;
+use tiepoint_io::Result;
+
+use super::pixels::write_png;
 
 /// Depth of one unit of a pixel, in the unit of the model.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -3,28 +3,28 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use tiepoint_sfm::scene::{CameraId, Reconstruction};
+use tiepoint_scene::{CameraId, Reconstruction};
 
 /// Prefix of the keys.
-pub(crate) const FOUND: &str = "found.";
+pub const FOUND: &str = "found.";
 const PORTRAIT_LANDSCAPE_PAIRS: &str = "found.portrait_landscape_pairs";
 
 /// Calibration of the cameras beside their intrinsics.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub(crate) struct CalibrationFacts {
+pub struct CalibrationFacts {
     /// Cameras with known intrinsics.
-    pub(crate) calibrated: BTreeSet<CameraId>,
+    pub calibrated: BTreeSet<CameraId>,
     /// Cameras of one lens whose images have portrait and landscape format. A pair has equal radial
     /// distortion, and the fx of the one is the fy of the other.
-    pub(crate) portrait_landscape_pairs: Vec<[CameraId; 2]>,
+    pub portrait_landscape_pairs: Vec<[CameraId; 2]>,
 }
 
 impl CalibrationFacts {
     /// Key of the cameras with known intrinsics.
-    pub(crate) const CALIBRATED: &str = "found.calibrated";
+    pub const CALIBRATED: &str = "found.calibrated";
 
     /// Keys and values for the record; nothing for cameras of which nothing is known.
-    pub(crate) fn texts(&self) -> Vec<(&'static str, String)> {
+    pub fn texts(&self) -> Vec<(&'static str, String)> {
         let calibrated: Vec<String> =
             self.calibrated.iter().map(|camera| camera.0.to_string()).collect();
         let pairs: Vec<String> = self
@@ -41,7 +41,7 @@ impl CalibrationFacts {
     }
 
     /// From a record, given by its values.
-    pub(crate) fn read<'a>(value: impl Fn(&str) -> Option<&'a str>) -> Self {
+    pub fn read<'a>(value: impl Fn(&str) -> Option<&'a str>) -> Self {
         let words = |key| value(key).unwrap_or("").split(',').filter(|word| !word.is_empty());
         let id = |word: &str| word.parse().ok().map(CameraId);
         let pair = |word: &str| {
@@ -56,7 +56,7 @@ impl CalibrationFacts {
 
     /// Adds the facts to a model of the workspace. The cameras are those of the database, whose ids
     /// count from 1. The model may have fewer, and a damaged record may name others.
-    pub(crate) fn add_to(self, model: &mut Reconstruction) {
+    pub fn add_to(self, model: &mut Reconstruction) {
         let ids: BTreeMap<u64, CameraId> = model
             .cameras()
             .map(|(camera, _)| (model.original_ids.camera(camera), camera))
@@ -72,8 +72,8 @@ impl CalibrationFacts {
 
 #[cfg(test)]
 mod tests {
-    use tiepoint_sfm::geometry::{CameraModelKind, Intrinsics};
-    use tiepoint_sfm::scene::{Camera, OriginalIds};
+    use tiepoint_geometry::{CameraModelKind, Intrinsics};
+    use tiepoint_scene::{Camera, OriginalIds};
 
     use super::*;
 

@@ -4,7 +4,7 @@
 const DEFAULT_BYTES: u64 = 4 << 30;
 
 /// Half of the memory that is available now.
-pub(crate) fn budget_bytes() -> u64 {
+pub fn budget_bytes() -> u64 {
     available_bytes().map_or(DEFAULT_BYTES, |bytes| bytes / 2)
 }
 

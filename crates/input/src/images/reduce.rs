@@ -1,6 +1,6 @@
 //! Images of a fraction of the size.
 
-use crate::{Luma, Rgb};
+use super::{Luma, Rgb};
 
 impl Rgb {
     /// The image at 1/`factor` of its size, rounded; a pixel is the mean of the area that it

@@ -3,7 +3,7 @@
 
 use std::path::PathBuf;
 
-use tiepoint_io::ImageFolder;
+use tiepoint_input::ImageFolder;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let inputs: Vec<PathBuf> = std::env::args_os().skip(1).map(PathBuf::from).collect();

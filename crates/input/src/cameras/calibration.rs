@@ -5,11 +5,11 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use tiepoint_io::calibration::{self, CameraCalibration};
-use tiepoint_io::{Exif, ImageFolder, ImageInfo};
-use tiepoint_sfm::scene::Camera;
+use tiepoint_scene::Camera;
 
+use super::known_intrinsics::{assumed_size, camera_of};
 use crate::fingerprint::hash_file;
-use crate::known_intrinsics::{assumed_size, camera_of};
+use crate::images::{Exif, ImageFolder, ImageInfo};
 use crate::{Error, Size};
 
 /// A file of calibrations, and the photos that it is of. As a text `PATTERN=FILE#CAMERA@WxH`, of
@@ -80,7 +80,7 @@ impl CalibrationSource {
     }
 
     /// The source with the fingerprint of the file in place of its path.
-    pub(crate) fn fingerprint(&self) -> Result<String, Error> {
+    pub fn fingerprint(&self) -> Result<String, Error> {
         let (pattern, camera) = (self.pattern.as_deref(), self.camera.as_deref());
         let hash = hash_file(&self.path)?;
         let size = self.size.map_or_else(String::new, |[w, h]| format!("@{w}x{h}"));
@@ -119,7 +119,7 @@ impl CalibrationSource {
 }
 
 /// The calibrations of all sources.
-pub(crate) struct Calibrations {
+pub struct Calibrations {
     /// Calibrated cameras, with the source of each.
     cameras: Vec<(usize, CameraCalibration)>,
     sources: Vec<CalibrationSource>,
@@ -135,7 +135,7 @@ impl Calibrations {
     /// A file cannot be read or is damaged; it has no camera of the given name, or several and none
     /// is given; a pattern matches no photo; without a pattern, the cameras of the file are not
     /// those of the folders; earlier sources calibrate all photos of a source.
-    pub(crate) fn read(sources: &[CalibrationSource], photos: &ImageFolder) -> Result<Self, Error> {
+    pub fn read(sources: &[CalibrationSource], photos: &ImageFolder) -> Result<Self, Error> {
         let mut this = Self {
             cameras: Vec::new(),
             sources: sources.to_vec(),
@@ -180,7 +180,7 @@ impl Calibrations {
     }
 
     /// The calibration of an image, if it has one: an index for [`Calibrations::camera`].
-    pub(crate) fn of_image(&self, image: usize) -> Option<usize> {
+    pub fn of_image(&self, image: usize) -> Option<usize> {
         self.of_image[image]
     }
 
@@ -189,12 +189,7 @@ impl Calibrations {
     /// # Errors
     ///
     /// The intrinsics or their size do not fit the photo.
-    pub(crate) fn camera(
-        &self,
-        index: usize,
-        name: &str,
-        info: &ImageInfo,
-    ) -> Result<Camera, Error> {
+    pub fn camera(&self, index: usize, name: &str, info: &ImageInfo) -> Result<Camera, Error> {
         let (source, CameraCalibration { name: camera, size, intrinsics, .. }) =
             &self.cameras[index];
         camera_of(intrinsics, *size, name, info)
@@ -206,7 +201,7 @@ impl Calibrations {
     /// # Errors
     ///
     /// They have two.
-    pub(crate) fn require_one_size(
+    pub fn require_one_size(
         &self,
         index: usize,
         photos: [(&str, &ImageInfo); 2],
@@ -227,7 +222,7 @@ impl Calibrations {
     }
 
     /// File and camera of a calibration, as `FILE#CAMERA`.
-    pub(crate) fn shown(&self, index: usize) -> String {
+    pub fn shown(&self, index: usize) -> String {
         let (source, camera) = &self.cameras[index];
         format!("{}#{}", self.sources[*source].path.display(), camera.name)
     }
@@ -246,7 +241,7 @@ struct Assigned {
 
 /// The calibrated camera of upright photos with this name, width and height; an error if they do
 /// not fit.
-pub(crate) fn camera_of_photo(
+pub fn camera_of_photo(
     calibration: &CameraCalibration,
     photo: &str,
     [width, height]: [u32; 2],
@@ -378,7 +373,7 @@ fn assign(
 }
 
 /// Whether a camera of a file is named as a folder: by its name, or by a part of its topic.
-pub(crate) fn is_named(name: &str, topic: Option<&str>, folder: &str) -> bool {
+pub fn is_named(name: &str, topic: Option<&str>, folder: &str) -> bool {
     let last = folder.rsplit('/').next().unwrap_or(folder);
     let mut parts = topic.unwrap_or("").split('/').filter(|part| !part.is_empty());
     name == folder || name == last || parts.any(|part| part == last)

@@ -1,12 +1,12 @@
 //! Known intrinsics at a photo: turned as its EXIF orientation asks for, and checked against its
 //! size.
 
-use tiepoint_io::{ImageInfo, is_plausible_focal};
-use tiepoint_sfm::geometry::nalgebra::Vector2;
-use tiepoint_sfm::geometry::{CameraModelKind, Intrinsics};
-use tiepoint_sfm::scene::Camera;
+use tiepoint_geometry::nalgebra::Vector2;
+use tiepoint_geometry::{CameraModelKind, Intrinsics};
+use tiepoint_scene::Camera;
 
 use crate::Size;
+use crate::images::{ImageInfo, is_plausible_focal};
 
 /// Largest distance of the principal point from the centre over the image side, for intrinsics
 /// whose image size is not known. Those of twice the size have it 1/2 off, and those of half the
@@ -173,8 +173,8 @@ fn is_plausible(camera: &Camera) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use tiepoint_io::Exif;
-    use tiepoint_sfm::geometry::nalgebra::Vector3;
+    use crate::Exif;
+    use tiepoint_geometry::nalgebra::Vector3;
 
     fn info(width: u32, height: u32, orientation: u8) -> ImageInfo {
         let exif = Exif { orientation, ..Exif::default() };

@@ -21,7 +21,7 @@ const IDLE_SLEEP: Duration = Duration::from_micros(200);
 /// # Errors
 ///
 /// The first error of `take`, which ends the loop.
-pub(crate) fn for_each_in_order<T: Sync, R: Send, E>(
+pub fn for_each_in_order<T: Sync, R: Send, E>(
     tasks: &[T],
     work: impl Fn(&T) -> R + Sync,
     take: impl FnMut(&T, R) -> Result<(), E>,
@@ -36,7 +36,7 @@ pub(crate) fn for_each_in_order<T: Sync, R: Send, E>(
 /// # Errors
 ///
 /// The first error of `take`, which ends the loop.
-pub(crate) fn for_each_within_budget<T: Sync, R: Send, E>(
+pub fn for_each_within_budget<T: Sync, R: Send, E>(
     budget: u64,
     bytes: impl Fn(&T) -> u64,
     tasks: &[T],
