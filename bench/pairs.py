@@ -30,7 +30,7 @@ from program import TARGET, program_of
 MIN_POINTS = 30
 SELECTIONS = ["auto", "similar:100", "exhaustive"]
 # Descriptors of a photo that are used, for each word, and in the sample for each word: as in
-# crates/pipeline/src/pair_choice.rs.
+# crates/pipeline/src/stages/pair_choice.rs.
 LEADING, PER_WORD, SAMPLE_PER_WORD = 1000, 128, 8
 ITERATIONS = 10
 

@@ -159,7 +159,7 @@ pub enum Event<'a> {
         /// Number of steps.
         iterations: usize,
     },
-    /// [`adjust`](crate::adjust) attempted a step.
+    /// [`adjust`](crate::models::adjust) attempted a step.
     AdjustmentStep {
         /// Number of the step, from 1.
         step: usize,

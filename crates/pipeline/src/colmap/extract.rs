@@ -6,8 +6,7 @@ use std::time::Instant;
 
 use rayon::prelude::*;
 use serde::Serialize;
-use tiepoint_input::parallel::budget_bytes;
-use tiepoint_input::parallel::for_each_within_budget;
+use tiepoint_input::parallel::{budget_bytes, for_each_within_budget};
 use tiepoint_input::{ImageFolder, ImageInfo};
 use tiepoint_io::database::Database;
 use tiepoint_io::features::{self as sift, Features};
@@ -15,7 +14,7 @@ use tiepoint_sfm::geometry::{CameraModelKind, Intrinsics};
 use tiepoint_sfm::scene::{Camera, CameraId, Image, ImageId};
 
 use super::scene::open_to_add;
-use crate::extractors::{Extractors, memory_of};
+use crate::stages::extractors::{Extractors, memory_of};
 use crate::{Error, Event, Stage, Watch, emit};
 
 /// Which images share a camera, as the options `ImageReader.*` say.

@@ -17,8 +17,8 @@ use tiepoint_sfm::{
 
 use super::output::{ModelFolders, write_model_with_project};
 use super::scene::{ids_of, read_graph, read_scene};
-use crate::colors::color_points;
-use crate::mapping::translate;
+use crate::stages::colors::color_points;
+use crate::stages::mapping::translate;
 use crate::{Error, Event, Stage, Watch, emit};
 
 /// Options of [`map`].

@@ -15,9 +15,9 @@ use tiepoint_sfm::{self as sfm, AdjustOptions, RefineIntrinsics, Scope, merge_mo
 use tiepoint_store::write_file;
 
 use super::output::{refuse_foreign_model, write_model};
-use crate::adjust::report;
-use crate::export::model_files;
-use crate::file_marks::PLY_MARK;
+use crate::models::adjust::report;
+use crate::workspace::file_marks::PLY_MARK;
+use crate::workspace::model_output::model_files;
 use crate::{AdjustReport, Error, Event, SimilarityInfo, Watch};
 
 /// Standard deviation of the priors of the intrinsics, which COLMAP does not have: none.

@@ -7,7 +7,7 @@ use tiepoint_sfm::scene::Reconstruction;
 use tiepoint_store::OutputFolder;
 
 use crate::Error;
-use crate::staged_model::{model_names, stage_model};
+use crate::workspace::model_output::{model_names, stage_model};
 use crate::workspace::refuse_workspace;
 
 /// File of the options that a model was made with, which COLMAP writes beside it.

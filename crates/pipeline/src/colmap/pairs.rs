@@ -8,8 +8,8 @@ use tiepoint_io::database::Database;
 use tiepoint_sfm::scene::{Image, ImageId, ImagePair};
 
 use super::scene::open_to_add;
-use crate::matching::match_pairs;
-use crate::pair_choice::{PairChoice, all_ids, learn_retrieval};
+use crate::stages::matching::match_pairs;
+use crate::stages::pair_choice::{PairChoice, all_ids, learn_retrieval};
 use crate::{Error, Event, MatchOptions, MatchReport, Stage, Watch, emit};
 
 /// Which pairs of the images of a database are matched.

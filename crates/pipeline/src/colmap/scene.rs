@@ -9,8 +9,9 @@ use tiepoint_sfm::scene::{
     CorrespondenceGraph, ImageId, ImagePair, OriginalIds, Reconstruction, TwoView,
 };
 
-use crate::foreign_database::Pairs;
-use crate::{Error, database_scene};
+use crate::Error;
+use crate::stages::foreign_database::Pairs;
+use crate::workspace::database_scene;
 
 /// Opens a database to add to it.
 ///

@@ -18,7 +18,7 @@ use tiepoint_sfm::{
 use super::map::{MappedFolder, for_scene, transferred};
 use super::output::write_model;
 use super::scene::{ids_of, read_graph, read_scene};
-use crate::colors::color_points;
+use crate::stages::colors::color_points;
 use crate::{Error, Event, Stage, Watch, emit};
 
 /// Rounds of completion, adjustment of the points and filtering, as in COLMAP.

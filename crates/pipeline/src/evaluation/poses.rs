@@ -1,0 +1,320 @@
+//! Evaluation of the poses of a model against ground truth.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+
+use serde::Serialize;
+use tiepoint_eval::geometry::{Rigid3, Sim3};
+use tiepoint_eval::{
+    Alignment, Statistics, associate, auc, compare_poses, relative_pose_errors_rad,
+};
+use tiepoint_input::sequences::number;
+use tiepoint_io::{colmap, strecha, timestamps, trajectory};
+use tiepoint_sfm::scene::{Image, Reconstruction};
+
+use crate::Error;
+use crate::workspace::image_names::first_folder;
+use crate::workspace::model_location::{ModelLocation, model_folder};
+
+/// A file or folder with ground truth poses.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Truth {
+    /// Its format.
+    pub format: TruthFormat,
+    /// Its path.
+    pub path: PathBuf,
+}
+
+/// Formats of ground truth poses.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum TruthFormat {
+    /// A folder of `.camera` files, by image name.
+    Strecha,
+    /// KITTI odometry: one pose per line; the number in an image's name is the line, from 0.
+    Kitti,
+    /// TUM RGB-D: poses with times.
+    Tum,
+    /// A COLMAP model, by image name.
+    Colmap,
+}
+
+/// Formats by their names on the command line.
+const FORMATS: [(&str, TruthFormat); 4] = [
+    ("strecha", TruthFormat::Strecha),
+    ("kitti", TruthFormat::Kitti),
+    ("tum", TruthFormat::Tum),
+    ("colmap", TruthFormat::Colmap),
+];
+
+impl FromStr for Truth {
+    type Err = String;
+
+    /// Parses `FORMAT:PATH`.
+    fn from_str(text: &str) -> Result<Self, String> {
+        let known = || FORMATS.map(|(name, _)| name).join(", ");
+        let (name, path) = text
+            .split_once(':')
+            .ok_or_else(|| format!("expected FORMAT:PATH with FORMAT one of {}", known()))?;
+        let format = FORMATS.iter().find(|(known, _)| *known == name).map(|(_, format)| *format);
+        let format =
+            format.ok_or_else(|| format!("unknown format {name}: use one of {}", known()))?;
+        Ok(Self { format, path: path.into() })
+    }
+}
+
+/// Pose errors of a model after Sim(3) alignment of the camera centres. Lengths are in units of the
+/// ground truth.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct PoseEvaluation {
+    /// Number of images with a true pose.
+    pub images: usize,
+    /// Number of these that are registered.
+    pub registered: usize,
+    /// Scale of `truth_from_model`.
+    pub scale: f64,
+    /// Distances between estimated and true centres; `rmse` is the ATE (Sturm et al. 2012).
+    pub centre_error: ErrorStatistics,
+    /// Angles between estimated and true orientations, in degrees.
+    pub rotation_error_deg: ErrorStatistics,
+    /// Area under the recall curve of the relative-pose errors over all image pairs. Pairs with an
+    /// unregistered image count as wrong.
+    pub relative_pose_auc: Vec<Auc>,
+    /// Focal lengths of the cameras of these images.
+    pub focal_lengths: Vec<FocalLength>,
+    /// Centre errors by image name.
+    pub centre_errors: BTreeMap<String, f64>,
+    /// The alignment.
+    #[serde(skip)]
+    pub truth_from_model: Sim3,
+}
+
+/// Statistics of a list of errors.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct ErrorStatistics {
+    /// Mean.
+    pub mean: f64,
+    /// Median.
+    pub median: f64,
+    /// Root mean square.
+    pub rmse: f64,
+    /// Standard deviation.
+    pub std: f64,
+    /// Largest.
+    pub max: f64,
+}
+
+impl From<Statistics> for ErrorStatistics {
+    fn from(Statistics { mean, median, rmse, std, max, .. }: Statistics) -> Self {
+        Self { mean, median, rmse, std, max }
+    }
+}
+
+/// Area under a recall curve.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Auc {
+    /// Upper limit of the error.
+    pub threshold_deg: f64,
+    /// Area over the threshold, from 0 to 1.
+    pub auc: f64,
+}
+
+/// The estimated and the true focal length of a camera.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct FocalLength {
+    /// COLMAP's id of the camera.
+    pub camera: u32,
+    /// Estimated focal length.
+    pub model_px: f64,
+    /// True focal length, where it is known.
+    pub truth_px: Option<f64>,
+}
+
+/// Thresholds of the relative-pose AUC, in degrees.
+const AUC_THRESHOLDS_DEG: [f64; 4] = [1.0, 3.0, 5.0, 10.0];
+/// Below this distance of two true centres the direction of translation is undefined, in units of
+/// the ground truth.
+const MIN_BASELINE: f64 = 1e-9;
+/// Largest difference between the time of an image and that of its true pose.
+const MAX_TIME_DIFFERENCE_S: f64 = 0.02;
+
+/// A true pose, and the true focal length where it is known.
+struct TruePose {
+    cam_from_world: Rigid3,
+    focal_px: Option<f64>,
+}
+
+/// Evaluates the poses of a model (a folder or a workspace). With `prefix`, only images whose names
+/// start with it are compared. Without, all images are, except with ground truth that is the
+/// trajectory of one camera (KITTI, TUM): then those of the camera of the first image.
+///
+/// # Errors
+///
+/// The model or the ground truth cannot be read, fewer than three images have both poses, or the
+/// camera centres are collinear.
+pub fn evaluate_poses(
+    path: &Path,
+    truth: &Truth,
+    prefix: Option<&str>,
+) -> Result<PoseEvaluation, Error> {
+    let folder = model_folder(path)?;
+    let model = colmap::read_model(&folder)?;
+    let is_trajectory = matches!(truth.format, TruthFormat::Kitti | TruthFormat::Tum);
+    let prefix = match prefix {
+        Some(prefix) => prefix.to_owned(),
+        None if is_trajectory => first_folder(&model),
+        None => String::new(),
+    };
+    let images: Vec<&Image> = model
+        .images()
+        .map(|(_, image)| image)
+        .filter(|image| image.name.starts_with(&prefix))
+        .collect();
+    let pairs = associate_images(&folder, &images, truth)?;
+    let error =
+        |why: String| Error::Evaluation { model: path.to_owned(), truth: truth.path.clone(), why };
+    let found: Vec<Option<Rigid3>> = pairs
+        .iter()
+        .map(|(image, _)| image.and_then(|image| image.cam_from_world().copied()))
+        .collect();
+    let true_poses: Vec<Rigid3> = pairs.iter().map(|(_, truth)| truth.cam_from_world).collect();
+    let registered = found.iter().flatten().count();
+    if registered < 3 {
+        return Err(error(format!(
+            "only {registered} images have a pose in both, and three are needed"
+        )));
+    }
+    let comparison =
+        compare_poses(&found, &true_poses, Alignment::Similarity).ok_or_else(|| {
+            error(
+                "the camera centres are collinear, so that the alignment is undetermined"
+                    .to_owned(),
+            )
+        })?;
+    let relative = relative_pose_errors_rad(&found, &true_poses, MIN_BASELINE);
+    let statistics = |errors: &[Option<f64>], unit: f64| {
+        let errors: Vec<f64> = errors.iter().flatten().map(|error| error * unit).collect();
+        ErrorStatistics::from(Statistics::of(&errors).expect("three or more"))
+    };
+    let centres = pairs.iter().zip(&comparison.centre_errors);
+    Ok(PoseEvaluation {
+        images: pairs.len(),
+        registered,
+        scale: comparison.truth_from_model.scale,
+        centre_error: statistics(&comparison.centre_errors, 1.0),
+        rotation_error_deg: statistics(&comparison.rotation_errors_rad, 1f64.to_degrees()),
+        relative_pose_auc: AUC_THRESHOLDS_DEG
+            .map(|threshold_deg| Auc {
+                threshold_deg,
+                auc: auc(&relative, threshold_deg.to_radians()),
+            })
+            .to_vec(),
+        focal_lengths: focal_lengths(&model, &pairs),
+        centre_errors: centres
+            .filter_map(|((image, _), error)| Some(((*image)?.name.clone(), (*error)?)))
+            .collect(),
+        truth_from_model: comparison.truth_from_model,
+    })
+}
+
+/// The true poses, each with the image of the model if there is one.
+fn associate_images<'a>(
+    folder: &Path,
+    images: &[&'a Image],
+    truth: &Truth,
+) -> Result<Vec<(Option<&'a Image>, TruePose)>, Error> {
+    let pose = |cam_from_world| TruePose { cam_from_world, focal_px: None };
+    let by_name = |poses: Vec<(String, TruePose)>| {
+        let file = |name: &str| name.rsplit('/').next().unwrap_or(name).to_owned();
+        let find = |name: &str| {
+            let same = images.iter().find(|image| image.name == name);
+            same.or_else(|| images.iter().find(|image| file(&image.name) == file(name))).copied()
+        };
+        poses.into_iter().map(|(name, pose)| (find(&name), pose)).collect()
+    };
+    let path = &truth.path;
+    Ok(match truth.format {
+        TruthFormat::Strecha => by_name(
+            strecha::read(path)?
+                .into_iter()
+                .map(|camera| {
+                    let focal_px =
+                        Some(0.5 * (camera.calibration[(0, 0)] + camera.calibration[(1, 1)]));
+                    (camera.name, TruePose { cam_from_world: camera.cam_from_world, focal_px })
+                })
+                .collect(),
+        ),
+        TruthFormat::Colmap => {
+            let model = colmap::read_model(&model_folder(path)?)?;
+            let poses = model.registered().map(|(id, image, cam_from_world)| {
+                let focal_px = Some(model.camera_of(id).intrinsics.mean_focal_px());
+                (image.name.clone(), TruePose { cam_from_world: *cam_from_world, focal_px })
+            });
+            by_name(poses.collect())
+        }
+        TruthFormat::Kitti => {
+            let numbers: BTreeMap<usize, &Image> =
+                images.iter().filter_map(|image| Some((number(&image.name)?, *image))).collect();
+            let poses = trajectory::read_kitti(path)?.into_iter().enumerate();
+            poses
+                .map(|(line, cam_from_world)| (numbers.get(&line).copied(), pose(cam_from_world)))
+                .collect()
+        }
+        TruthFormat::Tum => {
+            let mut poses = trajectory::read_tum(path)?;
+            poses.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
+            let file = ModelLocation::of(folder).timestamps();
+            let times = timestamps::read(&file)?;
+            let mut timed: Vec<(f64, &Image)> = images
+                .iter()
+                .filter_map(|image| Some((*times.get(&image.name)?, *image)))
+                .collect();
+            timed.sort_by(|a, b| a.0.total_cmp(&b.0));
+            let image_times: Vec<f64> = timed.iter().map(|(time_s, _)| *time_s).collect();
+            let true_times: Vec<f64> = poses.iter().map(|pose| pose.time_s).collect();
+            let pairs = associate(&image_times, &true_times, MAX_TIME_DIFFERENCE_S);
+            pairs
+                .into_iter()
+                .map(|(a, b)| (Some(timed[a].1), pose(poses[b].cam_from_world)))
+                .collect()
+        }
+    })
+}
+
+fn focal_lengths(model: &Reconstruction, pairs: &[(Option<&Image>, TruePose)]) -> Vec<FocalLength> {
+    let mut cameras: BTreeMap<u32, Vec<f64>> = BTreeMap::new();
+    for (image, truth) in pairs.iter().filter_map(|(image, truth)| Some(((*image)?, truth))) {
+        cameras.entry(image.camera.0).or_default().extend(truth.focal_px);
+    }
+    let focal = |(id, truth): (u32, Vec<f64>)| FocalLength {
+        camera: id + 1,
+        model_px: model.camera(tiepoint_sfm::scene::CameraId(id)).intrinsics.mean_focal_px(),
+        truth_px: Statistics::of(&truth).map(|truth| truth.mean),
+    };
+    cameras.into_iter().map(focal).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ground_truth_is_parsed_from_format_and_path() {
+        let truth: Truth = "kitti:data/poses:1.txt".parse().unwrap();
+        assert_eq!(truth, Truth { format: TruthFormat::Kitti, path: "data/poses:1.txt".into() });
+        assert!("poses.txt".parse::<Truth>().unwrap_err().contains("FORMAT:PATH"));
+        assert!("euler:poses.txt".parse::<Truth>().unwrap_err().contains("unknown format euler"));
+    }
+
+    #[test]
+    fn number_of_a_name_is_its_last_one() {
+        for (name, expected) in [
+            ("left/000012.png", Some(12)),
+            ("cam2/frame_7.color.jpg", Some(7)),
+            ("a3b.png", Some(3)),
+            ("b.png", None),
+        ] {
+            assert_eq!(number(name), expected, "{name}");
+        }
+    }
+}

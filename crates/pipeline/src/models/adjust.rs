@@ -1,0 +1,199 @@
+//! Bundle adjustment of a COLMAP model or a BAL problem.
+
+use std::path::Path;
+use std::time::Instant;
+
+use serde::Serialize;
+use tiepoint_io::bal::{Bal, BalCamera, BalObservation};
+use tiepoint_io::colmap::{self, Format};
+use tiepoint_sfm::ba::factors::Reprojection;
+use tiepoint_sfm::ba::{
+    EliminationOrder, IterationRecord, Key, Problem, Solver, Summary, Termination,
+};
+use tiepoint_sfm::geometry::cameras::Radial;
+use tiepoint_sfm::geometry::nalgebra::{Quaternion, SVector, UnitQuaternion, Vector2, Vector3};
+use tiepoint_sfm::geometry::{Loss, Rigid3, so3};
+use tiepoint_sfm::{self as sfm, AdjustOptions, RefineIntrinsics, Scope};
+use tiepoint_store::write_file;
+
+use crate::workspace::model_location::ModelLocation;
+use crate::workspace::model_output::{model_files, write_colmap};
+use crate::{Error, Event, Watch, model_folder};
+
+/// Summary of a bundle adjustment.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct AdjustReport {
+    /// ½ Σ ρ(|r|²) before the first step. Residuals are in pixels, divided by the scale of the
+    /// keypoint where it is known.
+    pub initial_cost: f64,
+    /// ½ Σ ρ(|r|²) after the last step.
+    pub final_cost: f64,
+    /// Number of attempted steps.
+    pub iterations: usize,
+    /// Wall time without reading and writing files.
+    pub seconds: f64,
+    /// Whether a convergence criterion was met.
+    pub converged: bool,
+    /// Number of scalar residuals.
+    pub residuals: usize,
+    /// Number of images; of a BAL problem, of cameras.
+    pub images: usize,
+    /// Number of points.
+    pub points: usize,
+    /// Cost over time.
+    pub steps: Vec<AdjustStep>,
+}
+
+/// An attempted step of the optimiser.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct AdjustStep {
+    /// Wall time since the start of the optimiser.
+    pub seconds: f64,
+    /// ½ Σ ρ(|r|²) after the step.
+    pub cost: f64,
+    /// Whether the step was accepted.
+    pub accepted: bool,
+}
+
+const MAX_ITERATIONS: usize = 100;
+
+/// Adjusts a model (a folder with a COLMAP model, a workspace, or a BAL file) and writes the result
+/// to `output` in the format of the input. Intrinsics are constant with `fix_intrinsics` and in a
+/// workspace that was given known ones. Images of a rig frame keep their sensor_from_rig in common.
+///
+/// # Errors
+///
+/// Where the model cannot be read or adjusted, or the result cannot be written.
+pub fn adjust(
+    path: &Path,
+    output: Option<&Path>,
+    fix_intrinsics: bool,
+    watch: Watch,
+) -> Result<AdjustReport, Error> {
+    if path.is_dir() {
+        adjust_colmap(&model_folder(path)?, output, fix_intrinsics, watch)
+    } else {
+        adjust_bal(path, output, fix_intrinsics, watch)
+    }
+}
+
+fn adjust_colmap(
+    path: &Path,
+    output: Option<&Path>,
+    fix_intrinsics: bool,
+    watch: Watch,
+) -> Result<AdjustReport, Error> {
+    let mut model = colmap::read_model(path)?;
+    let defaults = AdjustOptions::default();
+    let location = ModelLocation::of(path);
+    location.add_calibration_facts(&mut model);
+    let are_known = fix_intrinsics || location.has_known_intrinsics();
+    let refine = if are_known { RefineIntrinsics::NONE } else { defaults.refine };
+    let options = AdjustOptions { refine, max_iterations: MAX_ITERATIONS, ..defaults };
+    let start = Instant::now();
+    let summary = sfm::adjust(&mut model, &Scope::Global, &options, &mut [], &mut |step| {
+        watch(&Event::AdjustmentStep { step: step.number, cost: step.cost })
+    })
+    .map_err(Error::adjusting(path))?;
+    let report = report(&summary, start, model.num_registered(), model.num_tracks())?;
+    if let Some(output) = output {
+        let is_text = path.join("cameras.txt").is_file() && !path.join("cameras.bin").is_file();
+        let format = if is_text { Format::Text } else { Format::Binary };
+        write_colmap(output, &model, format, &model_files(path))?;
+    }
+    Ok(report)
+}
+
+/// The cost function is that of the BAL paper: no robust loss, no priors, residuals in pixels. A
+/// BAL camera looks along −z; a rotation by π about x converts it.
+fn adjust_bal(
+    path: &Path,
+    output: Option<&Path>,
+    fix_intrinsics: bool,
+    watch: Watch,
+) -> Result<AdjustReport, Error> {
+    let mut bal = Bal::read(path)?;
+    let start = Instant::now();
+    let mut problem = Problem::new();
+    let half_turn = UnitQuaternion::new_unchecked(Quaternion::new(0.0, 1.0, 0.0, 0.0));
+    let mut cameras: Vec<(Key<SVector<f64, 5>>, Key<Rigid3>)> =
+        Vec::with_capacity(bal.cameras.len());
+    for (index, camera) in bal.cameras.iter().enumerate() {
+        let order = EliminationOrder::At(index as u32);
+        let params = SVector::<f64, 5>::new(camera.focal_px, 0.0, 0.0, camera.k1, camera.k2);
+        let rotation = half_turn * so3::exp(&camera.axis_angle_rad);
+        let params = problem.add_parameter(params, order);
+        // BAL has the principal point at the origin.
+        problem.fix_dofs(params, &[1, 2]).map_err(sfm::Error::from)?;
+        if fix_intrinsics {
+            problem.fix(params);
+        }
+        cameras.push((
+            params,
+            problem.add_parameter(Rigid3::new(rotation, half_turn * camera.translation), order),
+        ));
+    }
+    let poses: Vec<Key<Rigid3>> = cameras.iter().map(|(_, pose)| *pose).collect();
+    sfm::fix_gauge(&mut problem, &poses, &vec![false; poses.len()], None)?;
+    let points: Vec<Key<Vector3<f64>>> =
+        bal.points.iter().map(|xyz| problem.add_landmark(*xyz)).collect();
+    for BalObservation { camera, point, pixel } in &bal.observations {
+        let (params, pose) = cameras[*camera as usize];
+        let factor = Reprojection::<Radial>::new(Vector2::new(pixel.x, -pixel.y), 1.0);
+        let keys = (params, pose, points[*point as usize]);
+        problem.add(keys, factor, Loss::Trivial).map_err(sfm::Error::from)?;
+    }
+    let options = sfm::ba::Options { max_iterations: MAX_ITERATIONS, ..Default::default() };
+    let mut watch = |step: &IterationRecord| {
+        watch(&Event::AdjustmentStep { step: step.number, cost: step.cost })
+    };
+    let summary = Solver::new(&problem, &options)
+        .and_then(|mut solver| solver.solve(&mut problem, &mut watch))
+        .map_err(|cause| Error::adjusting(path)(cause.into()))?;
+    let report = report(&summary, start, cameras.len(), points.len())?;
+    if let Some(output) = output {
+        for (camera, (params, pose)) in bal.cameras.iter_mut().zip(&cameras) {
+            let (params, pose) = (problem.get(*params), problem.get(*pose));
+            *camera = BalCamera {
+                axis_angle_rad: so3::log(&(half_turn * pose.rotation)),
+                translation: half_turn * pose.translation,
+                focal_px: params[0],
+                k1: params[3],
+                k2: params[4],
+            };
+        }
+        bal.points = points.iter().map(|point| problem.get(*point)).collect();
+        write_file(output, [path], None, |output| Ok::<_, Error>(bal.write(output)?))?;
+    }
+    Ok(report)
+}
+
+pub(crate) fn report(
+    summary: &Summary,
+    start: Instant,
+    images: usize,
+    points: usize,
+) -> Result<AdjustReport, Error> {
+    if summary.termination == Termination::Cancelled {
+        return Err(Error::Cancelled);
+    }
+    Ok(AdjustReport {
+        initial_cost: summary.initial_cost,
+        final_cost: summary.final_cost,
+        iterations: summary.iterations.len(),
+        seconds: start.elapsed().as_secs_f64(),
+        converged: summary.termination.converged(),
+        residuals: summary.num_residuals,
+        images,
+        points,
+        steps: summary
+            .iterations
+            .iter()
+            .map(|step| AdjustStep {
+                seconds: step.elapsed.as_secs_f64(),
+                cost: step.cost,
+                accepted: step.accepted,
+            })
+            .collect(),
+    })
+}

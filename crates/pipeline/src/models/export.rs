@@ -1,0 +1,419 @@
+//! Export of models to the formats of other programs.
+
+use std::collections::BTreeMap;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+
+use serde::Serialize;
+use tiepoint_dense::undistort::{UndistortOptions, Undistortion, undistort_model};
+use tiepoint_input::parallel::{budget_bytes, for_each_within_budget};
+use tiepoint_input::{Exif, Rgb};
+use tiepoint_io::bal::Bal;
+use tiepoint_io::colmap::{Format, read_model};
+use tiepoint_io::nerfstudio::{self, Motion};
+use tiepoint_io::trajectory::{self, TimedPose};
+use tiepoint_io::{gltf, gsplat, openmvs, ply, timestamps};
+use tiepoint_sfm::geometry::Rigid3;
+use tiepoint_sfm::natural_order;
+use tiepoint_sfm::scene::{Image, ImageId, Reconstruction};
+use tiepoint_store::disk::{self, FileId};
+use tiepoint_store::{AtomicFile, Error as StoreError, OutputFolder, write_file};
+
+use crate::models::rigid::{RigidReport, rigid_model};
+use crate::models::{kalibr, rolling_shutter};
+use crate::workspace::file_marks::{COMMENT, COMMENT_MARK, GLTF_MARK, LAS_MARK, PLY_MARK};
+use crate::workspace::image_names::first_folder;
+use crate::workspace::model_location::{ModelLocation, model_folder};
+use crate::workspace::model_output::{
+    model_files, model_names, refuse_shadow, renamed, stage_model, write_colmap,
+};
+use crate::workspace::model_photos::{check_sizes, decoder_bytes, photos_of, write_undistorted};
+use crate::workspace::{REPORT, is_workspace, refuse_workspace};
+use crate::{Error, Report};
+
+/// An export format.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ExportFormat {
+    /// COLMAP's binary files, in a folder.
+    Colmap,
+    /// COLMAP's text files, in a folder.
+    ColmapText,
+    /// Point cloud.
+    Ply,
+    /// TUM RGB-D trajectory (poses with times) of the camera of the first image.
+    Tum,
+    /// KITTI odometry trajectory of the camera of the first image.
+    Kitti,
+    /// BAL problem.
+    Bal,
+    /// `scene.mvs` and undistorted images, in a folder.
+    OpenMvs,
+    /// `transforms.json`, the images and the cloud, in a folder.
+    Nerfstudio,
+    /// The photos, the model with the detected keypoints, and `rolling_shutter.json` with the
+    /// poses of first and last rows, in a folder.
+    Gsplat,
+    /// [`Self::Nerfstudio`] with the keys of 3dgs-deblur: velocities and readout time.
+    Deblur,
+    /// The dense cloud of a workspace, as LAS or LAZ by the extension.
+    Las,
+    /// Binary glTF of the cameras, the points, and the dense cloud if there is one.
+    Gltf,
+    /// Extrinsics and time offsets of the rig as Kalibr's `camchain.yaml`.
+    Kalibr,
+}
+
+/// Formats by their names on the command line.
+const FORMATS: [(&str, ExportFormat); 13] = [
+    ("colmap", ExportFormat::Colmap),
+    ("openmvs", ExportFormat::OpenMvs),
+    ("nerfstudio", ExportFormat::Nerfstudio),
+    ("gsplat", ExportFormat::Gsplat),
+    ("3dgs-deblur", ExportFormat::Deblur),
+    ("colmap-text", ExportFormat::ColmapText),
+    ("ply", ExportFormat::Ply),
+    ("las", ExportFormat::Las),
+    ("gltf", ExportFormat::Gltf),
+    ("tum", ExportFormat::Tum),
+    ("kitti", ExportFormat::Kitti),
+    ("bal", ExportFormat::Bal),
+    ("kalibr", ExportFormat::Kalibr),
+];
+
+impl FromStr for ExportFormat {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let found = FORMATS.iter().find(|(name, _)| *name == text).map(|(_, format)| *format);
+        found.ok_or_else(|| {
+            format!("unknown format: use one of {}", FORMATS.map(|(name, _)| name).join(", "))
+        })
+    }
+}
+
+/// Summary of an export.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Exported {
+    /// The file or folder that was written.
+    pub path: PathBuf,
+    /// Number of poses in it.
+    pub poses: usize,
+    /// Number of points in it.
+    pub points: usize,
+    /// Number of photos that were in their places already and were not copied.
+    pub photos_in_place: usize,
+    /// The effect of exact rig extrinsics, with [`export_rigid`].
+    pub rigid: Option<RigidReport>,
+}
+
+/// Input of an export.
+#[derive(Clone, Copy, Debug)]
+pub struct ExportSource<'a> {
+    /// A folder with a COLMAP model, or a workspace.
+    pub model: &'a Path,
+    /// The folder that the names of the model's images begin in; `None`: the photos are the inputs
+    /// of the workspace that the model is in.
+    pub images: Option<&'a Path>,
+}
+
+/// Writes a model to `to` in another format.
+///
+/// # Errors
+///
+/// The model or its photos cannot be read, the model lacks data that the format needs (capture
+/// times, rig extrinsics, photos), or the result cannot be written.
+pub fn export(from: &ExportSource, format: ExportFormat, to: &Path) -> Result<Exported, Error> {
+    // Its files are read only by the formats that have it.
+    let dense = dense_cloud(from.model);
+    write_as(from, &read_model(&model_folder(from.model)?)?, dense.as_deref(), format, to)
+}
+
+/// Adjusts a model with exact rig extrinsics (one `cam_from_rig` per camera), whatever constraint
+/// it was mapped with, and exports it with its rig and frames, without a dense cloud, which has the
+/// poses from before. The model on disk is not changed.
+///
+/// # Errors
+///
+/// Those of [`export`]; no two cameras have poses at common frames; the format has no poses.
+pub fn export_rigid(
+    from: &ExportSource,
+    format: ExportFormat,
+    to: &Path,
+) -> Result<Exported, Error> {
+    if matches!(format, ExportFormat::Kalibr | ExportFormat::Las) {
+        return Err(Error::NoPoses { path: to.to_owned() });
+    }
+    let (model, rigid) = rigid_model(from.model)?;
+    Ok(Exported { rigid: Some(rigid), ..write_as(from, &model, None, format, to)? })
+}
+
+/// [`export`] of a model with its keypoints where they were detected. Those of a model with rolling
+/// shutters are where a global shutter would have seen them, and its photos are not.
+///
+/// # Errors
+///
+/// Those of [`export`]; the model is in no workspace with the database of its keypoints.
+pub fn export_detected(
+    from: &ExportSource,
+    format: ExportFormat,
+    to: &Path,
+) -> Result<Exported, Error> {
+    let folder = model_folder(from.model)?;
+    let mut model = read_model(&folder)?;
+    rolling_shutter::restore_detected_keypoints(&folder, &mut model)?;
+    write_as(from, &model, dense_cloud(from.model).as_deref(), format, to)
+}
+
+fn write_as(
+    from: &ExportSource,
+    model: &Reconstruction,
+    dense: Option<&Path>,
+    format: ExportFormat,
+    to: &Path,
+) -> Result<Exported, Error> {
+    let folder = model_folder(from.model)?;
+    let (mut poses, mut points, mut in_place) = (model.num_registered(), model.num_tracks(), 0);
+    let inputs = model_files(&folder);
+    let file = |mark, write: &dyn Fn(&Path) -> Result<(), Error>| {
+        write_file(to, inputs.iter().map(PathBuf::as_path), mark, write)
+    };
+    match format {
+        ExportFormat::Colmap => write_colmap(to, model, Format::Binary, &inputs)?,
+        ExportFormat::ColmapText => write_colmap(to, model, Format::Text, &inputs)?,
+        ExportFormat::Bal => {
+            let bal = Bal::from_reconstruction(model).map_err(|error| error.of(&folder))?;
+            file(None, &|to| Ok(bal.write(to)?))?;
+        }
+        ExportFormat::OpenMvs => export_openmvs(from, model, to)?,
+        ExportFormat::Nerfstudio => {
+            in_place = export_nerfstudio(from, model, to, &BTreeMap::new())?;
+        }
+        ExportFormat::Deblur => {
+            let mut model = model.clone();
+            let motions = rolling_shutter::motions(&folder, &mut model)?;
+            let motions = rolling_shutter::for_nerfstudio(&motions);
+            in_place = export_nerfstudio(from, &model, to, &motions)?;
+        }
+        ExportFormat::Gsplat => in_place = export_gsplat(from, &folder, model, to)?,
+        ExportFormat::Kalibr => {
+            let (text, cameras) = kalibr::camchain(model, &ModelLocation::of(&folder).rig())?;
+            let text = format!("{COMMENT}\n{text}");
+            file(Some(COMMENT_MARK), &|to| {
+                Ok(AtomicFile::write_with(to, |out| out.write_all(text.as_bytes()))?)
+            })?;
+            (poses, points) = (cameras, 0);
+        }
+        ExportFormat::Ply => {
+            file(Some(PLY_MARK), &|to| Ok(ply::write(to, &ply::points(model))?))?;
+            poses = 0;
+        }
+        ExportFormat::Las => {
+            let cloud = dense.ok_or_else(|| Error::NoDenseCloud { path: from.model.to_owned() })?;
+            write_file(to, [cloud], Some(LAS_MARK), |to| {
+                points = write_las(cloud, to)?;
+                Ok::<_, Error>(())
+            })?;
+            poses = 0;
+        }
+        ExportFormat::Gltf => {
+            let (sparse, dense_points) = (ply::points(model), dense.map(ply::read).transpose()?);
+            let mut clouds = vec![("points", sparse.as_slice())];
+            clouds.extend(dense_points.iter().map(|points| ("dense", points.as_slice())));
+            let inputs = inputs.iter().map(PathBuf::as_path).chain(dense);
+            write_file(to, inputs, Some(GLTF_MARK), |to| {
+                points = gltf::write(to, model, &clouds)?;
+                Ok::<_, Error>(())
+            })?;
+        }
+        ExportFormat::Kitti => {
+            let trajectory: Vec<Rigid3> =
+                trajectory_of(model).into_iter().map(|(_, pose)| pose).collect();
+            file(None, &|to| Ok(trajectory::write_kitti(to, &trajectory)?))?;
+            (poses, points) = (trajectory.len(), 0);
+        }
+        ExportFormat::Tum => {
+            let times = ModelLocation::of(&folder).timestamps();
+            let times = if times.is_file() { timestamps::read(&times)? } else { BTreeMap::new() };
+            let timed = trajectory_of(model).into_iter().filter_map(|(image, cam_from_world)| {
+                Some(TimedPose { time_s: *times.get(&image.name)?, cam_from_world })
+            });
+            let mut timed: Vec<TimedPose> = timed.collect();
+            timed.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
+            if timed.is_empty() {
+                return Err(Error::NoTimes { model: folder });
+            }
+            file(Some(COMMENT_MARK), &|to| Ok(trajectory::write_tum(to, &timed)?))?;
+            (poses, points) = (timed.len(), 0);
+        }
+    }
+    Ok(Exported { path: to.to_owned(), poses, points, photos_in_place: in_place, rigid: None })
+}
+
+/// The file of the dense cloud of a workspace; `None` if there is none of its current model.
+fn dense_cloud(workspace: &Path) -> Option<PathBuf> {
+    if !is_workspace(workspace) {
+        return None;
+    }
+    Report::read(&workspace.join(REPORT)).ok()?.dense_cloud(workspace)
+}
+
+/// Writes a cloud as LAS or LAZ. Returns the number of points.
+#[cfg(feature = "las")]
+fn write_las(cloud: &Path, to: &Path) -> Result<usize, Error> {
+    let vertices = ply::read(cloud)?;
+    tiepoint_io::las::write(to, &vertices)?;
+    Ok(vertices.len())
+}
+
+#[cfg(not(feature = "las"))]
+fn write_las(_: &Path, to: &Path) -> Result<usize, Error> {
+    Err(Error::NoLasWriter { path: to.to_owned() })
+}
+
+/// Folder of the images in an export.
+const IMAGES: &str = "images";
+
+fn image_name(image: &Image) -> String {
+    format!("{IMAGES}/{}", image.name)
+}
+
+/// Writes `scene.mvs` and undistorted images: OpenMVS supports pinhole cameras only.
+fn export_openmvs(from: &ExportSource, model: &Reconstruction, to: &Path) -> Result<(), Error> {
+    const SCENE: &str = "scene.mvs";
+    let is_spherical =
+        |image: &Image| model.camera(image.camera).intrinsics.kind().focal_indices().is_empty();
+    if let Some((_, image, _)) = model.registered().find(|(_, image, _)| is_spherical(image)) {
+        return Err(Error::NoImagePlane { image: image.name.clone() });
+    }
+    let photos = photos_of(from.model, from.images, model)?;
+    check_sizes(&photos, model)?;
+    let mut folder = OutputFolder::open(to)?;
+    folder.protect(photos.iter().map(|(_, path)| path.as_path()));
+    let mut names: Vec<String> = photos.iter().map(|(image, _)| image_name(image)).collect();
+    names.push(SCENE.to_owned());
+    folder.ensure_writable(names.iter().map(String::as_str))?;
+    let undistorted = undistort_model(model, &UndistortOptions::default())
+        .map_err(|cause| Error::Dense { path: from.model.to_owned(), cause })?;
+    let write = |(image, path): &(&Image, PathBuf)| -> Result<(), Error> {
+        let (old, new) = (model.camera(image.camera), undistorted.camera(image.camera));
+        let target = folder.stage(&image_name(image))?;
+        write_undistorted(path, &Undistortion::new(old, new), &target)
+    };
+    // The photo and its undistorted copy.
+    let bytes = |(image, _): &(&Image, PathBuf)| 2 * decoder_bytes(model.camera(image.camera));
+    for_each_within_budget(budget_bytes(), bytes, &photos, write, |_, written| written)?;
+    openmvs::write(&folder.stage(SCENE)?, &undistorted, IMAGES)?;
+    folder.publish(&names, &[])?;
+    Ok(())
+}
+
+/// Writes `transforms.json`, the cloud, and copies of the photos: nerfstudio supports distortion.
+/// With motions, `transforms.json` has the keys of 3dgs-deblur. Photos that are in their places
+/// already are not copied; returns their number.
+fn export_nerfstudio(
+    from: &ExportSource,
+    model: &Reconstruction,
+    to: &Path,
+    motions: &BTreeMap<ImageId, Motion>,
+) -> Result<usize, Error> {
+    const CLOUD: &str = "points.ply";
+    const TRANSFORMS: &str = "transforms.json";
+    if is_workspace(to) {
+        // The points.ply of a workspace is the cloud of its model.
+        return Err(StoreError::IsInput { path: to.join(CLOUD) }.into());
+    }
+    let names = [CLOUD, TRANSFORMS].map(str::to_owned);
+    with_photos(from, model, to, &names, &[], |folder| {
+        ply::write(&folder.stage(CLOUD)?, &ply::points(model))?;
+        let staged = folder.stage(TRANSFORMS)?;
+        nerfstudio::write_with_motion(&staged, model, IMAGES, Some(CLOUD), motions)
+            .map_err(|error| renamed(error, &staged, &to.join(TRANSFORMS)))?;
+        Ok(names.to_vec())
+    })
+}
+
+/// Writes `rolling_shutter.json`, the model with the detected keypoints, which are those of the
+/// photos, and copies of the photos. Returns as [`export_nerfstudio`].
+fn export_gsplat(
+    from: &ExportSource,
+    model_folder: &Path,
+    model: &Reconstruction,
+    to: &Path,
+) -> Result<usize, Error> {
+    const SPARSE: &str = "sparse/0";
+    const ROWS: &str = "rolling_shutter.json";
+    refuse_workspace(to)?;
+    refuse_shadow(from.model, model_folder, to)?;
+    let mut model = model.clone();
+    let motions = rolling_shutter::motions(model_folder, &mut model)?;
+    let rows = rolling_shutter::for_gsplat(&model, &motions);
+    rolling_shutter::restore_detected_keypoints(model_folder, &mut model)?;
+    let inputs = model_files(model_folder);
+    let mut names = model_names(Some(SPARSE));
+    names.push(ROWS.to_owned());
+    with_photos(from, &model, to, &names, &inputs, |folder| {
+        let staged = folder.stage(ROWS)?;
+        gsplat::write(&staged, &model, IMAGES, &rows)
+            .map_err(|error| renamed(error, &staged, &to.join(ROWS)))?;
+        let mut staged = stage_model(&folder, Some(SPARSE), &model, Format::Binary)?;
+        staged.push(ROWS.to_owned());
+        Ok(staged)
+    })
+}
+
+/// Writes copies of the photos, and files that `write` stages and names. `names`: all that it may
+/// write. Photos that are in their places already are not copied; returns their number.
+fn with_photos(
+    from: &ExportSource,
+    model: &Reconstruction,
+    to: &Path,
+    names: &[String],
+    inputs: &[PathBuf],
+    write: impl FnOnce(&OutputFolder) -> Result<Vec<String>, Error>,
+) -> Result<usize, Error> {
+    let photos = photos_of(from.model, from.images, model)?;
+    check_sizes(&photos, model)?;
+    // Readers of these formats take the pixels as they are stored.
+    let is_turned = |path: &Path| Exif::read(path).is_ok_and(|exif| exif.orientation > 1);
+    let mut folder = OutputFolder::open(to)?;
+    let is_in_place = |image: &Image, path: &Path| {
+        let there = FileId::of(&to.join(image_name(image)));
+        there.is_some() && there == FileId::of(path)
+    };
+    let turned = |(image, path): &&(&Image, PathBuf)| is_in_place(image, path) && is_turned(path);
+    if let Some((_, path)) = photos.iter().find(turned) {
+        return Err(Error::TurnedInPlace { path: path.clone() });
+    }
+    let copied: Vec<&(&Image, PathBuf)> =
+        photos.iter().filter(|(image, path)| !is_in_place(image, path)).collect();
+    folder.protect(photos.iter().map(|(_, path)| path.as_path()));
+    folder.protect(inputs.iter().map(PathBuf::as_path));
+    folder.ensure_writable(names.iter().map(String::as_str))?;
+    let copy = |(image, path): &&(&Image, PathBuf)| -> Result<(), Error> {
+        let target = folder.stage(&image_name(image))?;
+        if is_turned(path) {
+            return Ok(Rgb::read(path)?.write(&target)?);
+        }
+        disk::copy_new(path, &target).map_err(Error::output(&to.join(image_name(image))))
+    };
+    let bytes = |(image, _): &&(&Image, PathBuf)| decoder_bytes(model.camera(image.camera));
+    for_each_within_budget(budget_bytes(), bytes, &copied, copy, |_, copied| copied)?;
+    let mut staged: Vec<String> = copied.iter().map(|(image, _)| image_name(image)).collect();
+    staged.extend(write(&folder)?);
+    folder.publish(&staged, &[])?;
+    Ok(photos.len() - copied.len())
+}
+
+/// Registered images of the first camera and their poses (`cam_from_world`), ordered by name,
+/// numbers by value.
+fn trajectory_of(model: &Reconstruction) -> Vec<(&Image, Rigid3)> {
+    let prefix = first_folder(model);
+    let mut images: Vec<(&Image, Rigid3)> = model
+        .registered()
+        .filter(|(_, image, _)| image.name.starts_with(&prefix))
+        .map(|(_, image, pose)| (image, *pose))
+        .collect();
+    images.sort_by(|a, b| natural_order(&a.0.name, &b.0.name));
+    images
+}

@@ -1,0 +1,463 @@
+//! Work on finished models on disk, as COLMAP's `model_analyzer`, `model_transformer`,
+//! `model_aligner`, `model_cropper` and `model_merger` do it.
+
+use std::path::{Path, PathBuf};
+
+use serde::Serialize;
+use tiepoint_io::colmap::{Format, read_model};
+use tiepoint_io::{positions, similarity};
+use tiepoint_sfm::geometry::nalgebra::Vector3;
+use tiepoint_sfm::geometry::{RansacOptions, Sim3, estimate};
+use tiepoint_sfm::scene::Reconstruction;
+use tiepoint_sfm::{BoundingBox, align_models, crop, merge_model};
+use tiepoint_store::write_file;
+
+use crate::workspace::model_output::{model_files, refuse_foreign_model, write_colmap};
+use crate::{Error, model_folder};
+
+/// A camera of a model.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct CameraInfo {
+    /// COLMAP's name of the model.
+    pub model: &'static str,
+    /// Names of the parameters.
+    pub param_names: &'static [&'static str],
+    /// The parameters, in pixels.
+    pub params: Vec<f64>,
+    /// Width of the images, in pixels.
+    pub width: u32,
+    /// Height of the images, in pixels.
+    pub height: u32,
+    /// Number of its images that have a pose.
+    pub images: usize,
+}
+
+/// Statistics of a model. The numbers are those of COLMAP's `model_analyzer`.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct ModelInfo {
+    /// The folder of the model.
+    pub path: PathBuf,
+    /// The cameras.
+    pub cameras: Vec<CameraInfo>,
+    /// Number of rigs of more than one camera.
+    pub rigs: usize,
+    /// Number of frames of these rigs.
+    pub frames: usize,
+    /// Number of images with a pose.
+    pub images: usize,
+    /// Number of points.
+    pub points: usize,
+    /// Number of observations of all points.
+    pub observations: usize,
+    /// Mean number of observations of a point.
+    pub mean_track_length: f64,
+    /// Mean number of observations of an image.
+    pub mean_observations_per_image: f64,
+    /// Mean over the points of their mean reprojection errors, in pixels.
+    pub mean_reprojection_error_px: f64,
+    /// Least coordinates of the points, in units of the model; `None` without points.
+    pub min: Option<[f64; 3]>,
+    /// Largest coordinates of the points.
+    pub max: Option<[f64; 3]>,
+}
+
+/// A similarity transform new_from_old.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct SimilarityInfo {
+    /// Length in the new frame of a unit length of the old one.
+    pub scale: f64,
+    /// Rotation, a Hamilton quaternion.
+    pub rotation_wxyz: [f64; 4],
+    /// The old origin in the new frame.
+    pub translation: [f64; 3],
+}
+
+impl From<&Sim3> for SimilarityInfo {
+    fn from(similarity: &Sim3) -> Self {
+        let q = similarity.rotation;
+        Self {
+            scale: similarity.scale,
+            rotation_wxyz: [q.w, q.i, q.j, q.k],
+            translation: similarity.translation.into(),
+        }
+    }
+}
+
+/// Result of a command on models.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct ModelChange {
+    /// The folder of the new model.
+    pub path: PathBuf,
+    /// Number of images with a pose in the new model.
+    pub images: usize,
+    /// Number of points in the new model.
+    pub points: usize,
+    /// The transform that was applied, new_from_old.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub transform: Option<SimilarityInfo>,
+    /// Quality of the alignment, if the transform was estimated.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub alignment: Option<AlignmentInfo>,
+    /// The further models of a merge, in the order in which they were merged.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub merged: Vec<MergedInfo>,
+}
+
+/// Quality of an alignment.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct AlignmentInfo {
+    /// Number of images with a pose in both.
+    pub common_images: usize,
+    /// Number of data that were compared: common observations of two models, or positions.
+    pub compared: usize,
+    /// Number of those that fit.
+    pub inliers: usize,
+    /// Mean distance of the camera centres of common images from their places after the alignment,
+    /// in units of the new frame.
+    pub mean_distance: f64,
+}
+
+/// A model that was merged into the first one.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct MergedInfo {
+    /// The model.
+    pub path: PathBuf,
+    /// How it fits.
+    pub alignment: AlignmentInfo,
+    /// Number of images that it added.
+    pub new_images: usize,
+    /// Number of points that it added.
+    pub new_points: usize,
+    /// Number of points that got observations of it.
+    pub merged_points: usize,
+}
+
+/// Target of an alignment.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum AlignTo<'a> {
+    /// A model with common images, by the keypoints that observe points in both.
+    Model {
+        /// Its folder, or a workspace.
+        path: &'a Path,
+        /// Maximum transfer error of an inlier, in pixels.
+        max_error_px: f64,
+    },
+    /// A text file with lines `name x y z`: camera centres.
+    Positions {
+        /// The file.
+        path: &'a Path,
+        /// Maximum distance of an inlier, in the unit of the file.
+        max_error: f64,
+    },
+}
+
+/// Which part of a model is kept.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum CropTo {
+    /// The points in a box, in units of the model.
+    Box(BoundingBox),
+    /// The points in the box between two quantiles of each coordinate, from 0 to 1.
+    Quantiles(f64, f64),
+}
+
+/// Minimum number of images of an alignment to positions, which three determine.
+const MIN_POSITIONS: usize = 3;
+
+/// A model with its files.
+struct Model {
+    folder: PathBuf,
+    reconstruction: Reconstruction,
+}
+
+impl Model {
+    fn read(path: &Path) -> Result<Self, Error> {
+        let folder = model_folder(path)?;
+        Ok(Self { reconstruction: read_model(&folder)?, folder })
+    }
+
+    /// Writes it into `to` in the format that it was read in. No file of `inputs` is replaced.
+    fn write(&self, to: &Path, inputs: &[PathBuf]) -> Result<ModelChange, Error> {
+        let has = |name: &str| self.folder.join(name).is_file();
+        let is_text = has("cameras.txt") && !has("cameras.bin");
+        let format = if is_text { Format::Text } else { Format::Binary };
+        write_colmap(to, &self.reconstruction, format, inputs)?;
+        Ok(ModelChange {
+            path: to.to_owned(),
+            images: self.reconstruction.num_registered(),
+            points: self.reconstruction.num_tracks(),
+            transform: None,
+            alignment: None,
+            merged: Vec::new(),
+        })
+    }
+
+    /// Applies a similarity.
+    fn transform(&mut self, new_from_old: &Sim3) -> Result<(), Error> {
+        self.reconstruction.transform(new_from_old);
+        // A transform of huge numbers may overflow. The model was valid when it was read.
+        self.reconstruction
+            .validate()
+            .map_err(|_| Error::TransformOverflows { path: self.folder.clone() })
+    }
+}
+
+/// Counts and errors of a model (a folder or a workspace).
+///
+/// # Errors
+///
+/// The model cannot be read.
+pub fn model_info(path: &Path) -> Result<ModelInfo, Error> {
+    let Model { folder, reconstruction: model } = Model::read(path)?;
+    let cameras = model.cameras().map(|(id, camera)| CameraInfo {
+        model: camera.intrinsics.kind().name(),
+        param_names: camera.intrinsics.kind().param_names(),
+        params: camera.intrinsics.params().to_vec(),
+        width: camera.width,
+        height: camera.height,
+        images: model.registered().filter(|(_, image, _)| image.camera == id).count(),
+    });
+    let bounds = BoundingBox::of_points(&model, 0.0, 1.0);
+    let images = model.num_registered();
+    Ok(ModelInfo {
+        path: folder,
+        cameras: cameras.collect(),
+        rigs: model.rigs.len(),
+        frames: model.frames.len(),
+        images,
+        points: model.num_tracks(),
+        observations: model.num_observations(),
+        mean_track_length: model.mean_track_length(),
+        mean_observations_per_image: model.num_observations() as f64 / images.max(1) as f64,
+        mean_reprojection_error_px: model.mean_reprojection_error_px(),
+        min: bounds.map(|bounds| bounds.min.into()),
+        max: bounds.map(|bounds| bounds.max.into()),
+    })
+}
+
+/// Transforms a model by the similarity in a file (or its inverse), and writes it to `to`.
+///
+/// # Errors
+///
+/// The model or the file cannot be read, or the result cannot be written.
+pub fn transform_model(
+    path: &Path,
+    file: &Path,
+    is_inverse: bool,
+    to: &Path,
+) -> Result<ModelChange, Error> {
+    let new_from_old = similarity::read(file)?;
+    let new_from_old = if is_inverse { new_from_old.inverse() } else { new_from_old };
+    let mut model = Model::read(path)?;
+    model.transform(&new_from_old)?;
+    let mut inputs = model_files(&model.folder);
+    inputs.push(file.to_owned());
+    let change = model.write(to, &inputs)?;
+    Ok(ModelChange { transform: Some((&new_from_old).into()), ..change })
+}
+
+/// Aligns a model to another one or to positions, and writes it to `to`, and the transform to
+/// `transform_to`.
+///
+/// # Errors
+///
+/// An input cannot be read, the inputs do not determine the alignment, or the result cannot be
+/// written.
+pub fn align_model(
+    path: &Path,
+    align_to: AlignTo,
+    to: &Path,
+    transform_to: Option<&Path>,
+) -> Result<ModelChange, Error> {
+    let mut model = Model::read(path)?;
+    let mut inputs = model_files(&model.folder);
+    let (new_from_old, alignment) = match align_to {
+        AlignTo::Model { path: reference, max_error_px } => {
+            let reference = Model::read(reference)?;
+            inputs.extend(model_files(&reference.folder));
+            align_to_model(&model, &reference, max_error_px)?
+        }
+        AlignTo::Positions { path: file, max_error } => {
+            inputs.push(file.to_owned());
+            align_to_positions(&model, file, max_error)?
+        }
+    };
+    model.transform(&new_from_old)?;
+    if let Some(file) = transform_to {
+        // Both results are refused before either is written.
+        refuse_foreign_model(to, &inputs)?;
+        write_file(file, inputs.iter().map(PathBuf::as_path), None, |file| {
+            Ok::<_, Error>(similarity::write(file, &new_from_old)?)
+        })?;
+        inputs.push(file.to_owned());
+    }
+    let change = model.write(to, &inputs)?;
+    let transform = Some((&new_from_old).into());
+    Ok(ModelChange { transform, alignment: Some(alignment), ..change })
+}
+
+fn align_to_model(
+    model: &Model,
+    reference: &Model,
+    max_error_px: f64,
+) -> Result<(Sim3, AlignmentInfo), Error> {
+    let (one, other) = (&model.reconstruction, &reference.reconstruction);
+    let found = align_models(one, other, max_error_px).map_err(Error::adjusting(&model.folder))?;
+    let Some(similarity) = found.reference_from_model else {
+        return Err(Error::NoAlignment {
+            model: model.folder.clone(),
+            reference: reference.folder.clone(),
+            why: why_apart(&found),
+        });
+    };
+    Ok((similarity, info_of(&found, mean_distance(one, other, &similarity))))
+}
+
+/// Why two models were not aligned.
+fn why_apart(found: &tiepoint_sfm::ModelAlignment) -> String {
+    match (found.num_common_images, found.num_common_observations) {
+        (0, _) => "no image has a pose in both; images are compared by name".to_owned(),
+        (images, 0) => format!(
+            "{images} images have a pose in both, but none of their keypoints observes a point in \
+             both; both models must be made from the same features"
+        ),
+        (images, observations) => format!(
+            "{images} images have a pose in both, but only {} of their {observations} common \
+             observations fit one similarity",
+            found.num_inliers
+        ),
+    }
+}
+
+fn info_of(found: &tiepoint_sfm::ModelAlignment, mean_distance: f64) -> AlignmentInfo {
+    AlignmentInfo {
+        common_images: found.num_common_images,
+        compared: found.num_compared,
+        inliers: found.num_inliers,
+        mean_distance,
+    }
+}
+
+/// Mean distance of the centres of common images.
+fn mean_distance(model: &Reconstruction, reference: &Reconstruction, similarity: &Sim3) -> f64 {
+    let by_name: std::collections::BTreeMap<&str, Vector3<f64>> = reference
+        .registered()
+        .map(|(_, image, pose)| (image.name.as_str(), pose.origin_in_a()))
+        .collect();
+    let distances = model.registered().filter_map(|(_, image, pose)| {
+        let there = by_name.get(image.name.as_str())?;
+        Some((*similarity * pose.origin_in_a() - there).norm())
+    });
+    mean(distances)
+}
+
+fn mean(values: impl Iterator<Item = f64>) -> f64 {
+    let (sum, count) = values.fold((0.0, 0usize), |(sum, count), value| (sum + value, count + 1));
+    sum / count.max(1) as f64
+}
+
+fn align_to_positions(
+    model: &Model,
+    file: &Path,
+    max_error: f64,
+) -> Result<(Sim3, AlignmentInfo), Error> {
+    let positions = positions::read(file)?;
+    let pairs = model
+        .reconstruction
+        .registered()
+        .filter_map(|(_, image, pose)| Some((pose.origin_in_a(), *positions.get(&image.name)?)));
+    let (from, to): (Vec<Vector3<f64>>, Vec<Vector3<f64>>) = pairs.unzip();
+    let failed = |why: String| Error::NoAlignment {
+        model: model.folder.clone(),
+        reference: file.to_owned(),
+        why,
+    };
+    if from.len() < MIN_POSITIONS {
+        let why = format!(
+            "{} of its images with a pose are in the file, and at least {MIN_POSITIONS} are needed",
+            from.len()
+        );
+        return Err(failed(why));
+    }
+    let options = RansacOptions { max_error, ..RansacOptions::default() };
+    let report = estimate::similarity(&from, &to, true, &options)
+        .filter(|report| report.num_inliers >= MIN_POSITIONS)
+        .ok_or_else(|| {
+            failed(format!(
+                "fewer than {MIN_POSITIONS} of {} positions that are not on a line fit one \
+                 similarity to within {max_error}",
+                from.len()
+            ))
+        })?;
+    let distances = from.iter().zip(&to).map(|(from, to)| (report.model * *from - to).norm());
+    let info = AlignmentInfo {
+        common_images: from.len(),
+        compared: from.len(),
+        inliers: report.num_inliers,
+        mean_distance: mean(distances),
+    };
+    Ok((report.model, info))
+}
+
+/// Keeps a part of a model and writes it to `to`.
+///
+/// # Errors
+///
+/// The model cannot be read, no point is in the box, or the result cannot be written.
+pub fn crop_model(path: &Path, crop_to: CropTo, to: &Path) -> Result<ModelChange, Error> {
+    let mut model = Model::read(path)?;
+    let bounds = match crop_to {
+        CropTo::Box(bounds) => Some(bounds),
+        CropTo::Quantiles(low, high) => BoundingBox::of_points(&model.reconstruction, low, high),
+    };
+    let points = model.reconstruction.num_tracks();
+    if let Some(bounds) = bounds {
+        crop(&mut model.reconstruction, &bounds);
+    }
+    if model.reconstruction.num_tracks() == 0 {
+        return Err(Error::EmptyCrop { path: model.folder, points });
+    }
+    model.write(to, &model_files(&model.folder))
+}
+
+/// Merges models into the frame of the first one and writes the result to `to`. A model that has
+/// nothing in common with the first may fit after another one.
+///
+/// # Errors
+///
+/// A model cannot be read, a model fits none of the others, or the result cannot be written.
+pub fn merge_models(paths: &[PathBuf], max_error_px: f64, to: &Path) -> Result<ModelChange, Error> {
+    let mut models = paths.iter().map(|path| Model::read(path)).collect::<Result<Vec<_>, _>>()?;
+    let inputs: Vec<PathBuf> = models.iter().flat_map(|model| model_files(&model.folder)).collect();
+    let mut first = models.remove(0);
+    let mut merged = Vec::new();
+    while !models.is_empty() {
+        let mut last_failure = None;
+        let before = models.len();
+        let mut left = Vec::new();
+        for model in models {
+            let before_merge = first.reconstruction.clone();
+            let outcome =
+                merge_model(&mut first.reconstruction, &model.reconstruction, max_error_px)
+                    .map_err(Error::adjusting(&model.folder))?;
+            if let Some(similarity) = &outcome.alignment.reference_from_model {
+                let distance = mean_distance(&model.reconstruction, &before_merge, similarity);
+                merged.push(MergedInfo {
+                    path: model.folder,
+                    alignment: info_of(&outcome.alignment, distance),
+                    new_images: outcome.new_images,
+                    new_points: outcome.new_points,
+                    merged_points: outcome.merged_points,
+                });
+            } else {
+                last_failure = Some((model.folder.clone(), why_apart(&outcome.alignment)));
+                left.push(model);
+            }
+        }
+        models = left;
+        if let Some((model, why)) = last_failure.filter(|_| models.len() == before) {
+            return Err(Error::NoAlignment { model, reference: first.folder, why });
+        }
+    }
+    let change = first.write(to, &inputs)?;
+    Ok(ModelChange { merged, ..change })
+}

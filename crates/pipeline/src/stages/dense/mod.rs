@@ -1,0 +1,498 @@
+//! Stage 4: depth maps and the fused cloud, as a dense workspace of COLMAP in `dense/`.
+//!
+//! The stage goes through all images three times: it undistorts them, estimates planes at half
+//! resolution, and refines these to depth maps; then it fuses the depth maps. Each image is
+//! published on its own, so that an interrupted run loses one step of one image. At most one
+//! reference image and its sources are in memory.
+
+mod masks;
+pub(crate) mod options;
+
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use tiepoint_dense::fusion::{FusionImage, FusionOptions, fuse};
+use tiepoint_dense::stereo::{
+    DepthMap, FineEstimate, FineSource, InverseDepthRange, PlaneMap, StereoImage, estimate_coarse,
+    estimate_fine, normals_of,
+};
+use tiepoint_dense::undistort::{UndistortOptions, Undistortion, undistort_model};
+use tiepoint_dense::{Grey, PosedPinhole, StereoProblem, select_views};
+use tiepoint_input::images::DepthScale;
+use tiepoint_input::{Luma, Rgb};
+use tiepoint_io::colmap::{Format, read_model};
+use tiepoint_io::{DenseMap, FusedPly, FusedVisibility};
+use tiepoint_sfm::scene::{Image, ImageId, Reconstruction};
+
+use self::masks::Masks;
+use crate::stages::dense::options::DenseOptions;
+use crate::stages::option_keys;
+use crate::workspace::file_names::{DENSE, DENSE_CLOUD, depth_map_path, model_path};
+use crate::workspace::model_output::{model_names, stage_model};
+use crate::workspace::model_photos::{check_sizes, photos_of, write_undistorted};
+use crate::workspace::records::{Progress, Recipe};
+use crate::{DenseReport, DenseStep, Error, Event, Stage, Watch, Workspace, emit};
+
+const SPARSE: &str = "dense/sparse";
+const VISIBILITY: &str = "dense/fused.ply.vis";
+/// The images that COLMAP's `patch_match_stereo` and `stereo_fusion` work on.
+const STEREO_LIST: &str = "dense/stereo/patch-match.cfg";
+const FUSION_LIST: &str = "dense/stereo/fusion.cfg";
+/// Scale of the 16-bit depth maps.
+const DEPTH_SCALE: &str = "dense/depth_png/scale.json";
+/// Channels of a file of planes: inverse depth, its two derivatives, and the cost.
+const PLANE_CHANNELS: usize = 4;
+
+/// Estimates the depth maps of the largest model of a workspace and fuses them.
+///
+/// # Errors
+///
+/// The workspace has no model; the stage was run with other options, and `redo` does not ask for
+/// it; a photo or mask is gone or has another size; no two images share points; a file cannot be
+/// read or written; `watch` returns `Break`.
+pub fn dense(
+    workspace: &mut Workspace,
+    options: &DenseOptions,
+    redo: Option<Stage>,
+    watch: Watch,
+) -> Result<(), Error> {
+    const STAGE: Stage = Stage::Dense;
+    let mut input = workspace.fingerprint(Stage::Map)?;
+    let masks = match &options.masks {
+        Some(folder) => Some(Masks::open(&workspace.records, folder)?),
+        None => None,
+    };
+    if let Some(masks) = &masks {
+        input = format!("{input} masked by {}", masks.fingerprint);
+    }
+    let recipe = Recipe::new(input, option_keys::dense_options(options));
+    let progress = workspace.begin(STAGE, &recipe, redo)?;
+    if progress == Progress::Kept {
+        return emit(watch, &Event::StageKept { stage: STAGE });
+    }
+    let start = Instant::now();
+    let folder = workspace.root().join(model_path(0));
+    let model = read_model(&folder)?;
+    let photos = photos_of(workspace.root(), None, &model)?;
+    // Before old results are removed, which bad photos would not replace.
+    check_sizes(&photos, &model)?;
+    for (image, _) in &photos {
+        masks.as_ref().map_or(Ok(()), |masks| masks.check(&image.name))?;
+    }
+    let undistort =
+        UndistortOptions { max_image_size: options.max_image_size, ..UndistortOptions::default() };
+    let undistorted = undistort_model(&model, &undistort)
+        .map_err(|cause| Error::Dense { path: folder.clone(), cause })?;
+    let problems = select_views(&undistorted, options.sources);
+    if problems.iter().all(|problem| problem.sources.is_empty() || problem.seeds.is_empty()) {
+        return Err(Error::NothingDense { path: folder, images: problems.len() });
+    }
+    if progress == Progress::Begin {
+        remove_old_results(workspace, &undistorted)?;
+    } else {
+        // The record may still say that the stage is complete, although files of it were deleted.
+        // From here on it says incomplete.
+        workspace.note(|_| {})?;
+    }
+    let mut run = Run::new(workspace, undistorted, problems, options, masks);
+    let total = 3 * run.problems.len();
+    let (done, has_all_depths) = run.count_done()?;
+    emit(watch, &Event::StageBegan { stage: STAGE, total, done })?;
+    run.write_model()?;
+    for (index, (image, photo)) in photos.iter().enumerate() {
+        if !run.is_undistorted(index)? {
+            run.undistort(index, image, &model, photo)?;
+            run.done(DenseStep::Undistort, index, watch)?;
+        }
+    }
+    for index in 0..run.problems.len() {
+        if !has_all_depths && run.is_missing(&planes_file(run.name(index)))? {
+            run.estimate_planes(index)?;
+            run.done(DenseStep::Planes, index, watch)?;
+        }
+    }
+    for index in 0..run.problems.len() {
+        if !run.has_depths(index)? {
+            run.estimate_depths(index)?;
+            run.done(DenseStep::Depths, index, watch)?;
+        }
+    }
+    let (mut report, mut temporary) = run.fuse()?;
+    report.seconds = start.elapsed().as_secs_f64();
+    let seconds = report.seconds;
+    workspace.complete(STAGE);
+    // Names of files that earlier runs or somebody removed leave the manifest.
+    let folder = &workspace.folder;
+    let names = folder.names().filter(|name| Path::new(name).starts_with(DENSE));
+    temporary.extend(names.filter(|name| !folder.exists(name)).map(str::to_owned));
+    let fused = vec![VISIBILITY.to_owned(), DENSE_CLOUD.to_owned()];
+    workspace.publish(fused, &temporary, |all| all.stages.dense = Some(report))?;
+    emit(watch, &Event::StageDone { stage: STAGE, seconds })
+}
+
+fn image_file(image: &str) -> String {
+    format!("dense/images/{image}")
+}
+
+/// The mask of an image: 255 where it is used, 0 where it is not.
+fn mask_file(image: &str) -> String {
+    format!("dense/masks/{image}.png")
+}
+
+/// Planes at half resolution, until the stage is complete.
+fn planes_file(image: &str) -> String {
+    format!("dense/stereo/planes/{image}.bin")
+}
+
+/// The depth map as an image of 16 bits a pixel.
+fn depth_png_file(image: &str) -> String {
+    format!("dense/depth_png/{image}.png")
+}
+
+fn normal_file(image: &str) -> String {
+    format!("dense/stereo/normal_maps/{image}.geometric.bin")
+}
+
+/// Removes the results of an earlier run, and writes that the stage has begun.
+///
+/// # Errors
+///
+/// A file of the new results is foreign, or an old one was changed.
+fn remove_old_results(workspace: &mut Workspace, model: &Reconstruction) -> Result<(), Error> {
+    let of_image = |image: &Image| {
+        let name = &image.name;
+        let images = [image_file(name), mask_file(name)];
+        let maps =
+            [planes_file(name), depth_map_path(name), normal_file(name), depth_png_file(name)];
+        images.into_iter().chain(maps)
+    };
+    let mut names: Vec<String> = model.images().flat_map(|(_, image)| of_image(image)).collect();
+    names.extend(model_names(Some(SPARSE)));
+    names.extend(
+        [DENSE_CLOUD, VISIBILITY, STEREO_LIST, FUSION_LIST, DEPTH_SCALE].map(str::to_owned),
+    );
+    workspace.folder.ensure_writable(names.iter().map(String::as_str))?;
+    let old = workspace.folder.names().filter(|name| Path::new(name).starts_with(DENSE));
+    let old: Vec<String> = old.map(str::to_owned).collect();
+    workspace.publish(Vec::new(), &old, |_| {})
+}
+
+/// A run of the stage.
+struct Run<'a> {
+    workspace: &'a mut Workspace,
+    model: Reconstruction,
+    /// One for each image of the model, in order.
+    problems: Vec<StereoProblem>,
+    options: &'a DenseOptions,
+    masks: Option<Masks>,
+    depth_scale: DepthScale,
+}
+
+impl<'a> Run<'a> {
+    fn new(
+        workspace: &'a mut Workspace,
+        model: Reconstruction,
+        problems: Vec<StereoProblem>,
+        options: &'a DenseOptions,
+        masks: Option<Masks>,
+    ) -> Self {
+        // The farthest depth that any image may have.
+        let ranges = problems.iter().filter_map(|problem| InverseDepthRange::of(&problem.seeds));
+        let farthest = ranges.map(|range| 1.0 / range.min).fold(0.0, f32::max);
+        let depth_scale = DepthScale::up_to(farthest);
+        Self { workspace, model, problems, options, masks, depth_scale }
+    }
+
+    fn name(&self, index: usize) -> &str {
+        &self.model.image(ImageId::from_index(index)).name
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.workspace.root().join(name)
+    }
+
+    /// Whether a file has still to be made.
+    fn is_missing(&self, name: &str) -> Result<bool, Error> {
+        Ok(!self.workspace.folder.is_unmodified(name)?)
+    }
+
+    fn is_undistorted(&self, index: usize) -> Result<bool, Error> {
+        let (image, mask) = (image_file(self.name(index)), mask_file(self.name(index)));
+        let has_lost_mask = self.masks.is_some()
+            && self.workspace.folder.contains(&mask)
+            && self.is_missing(&mask)?;
+        Ok(!has_lost_mask && !self.is_missing(&image)?)
+    }
+
+    /// Whether the depth map of an image exists, with its normal map and PNG if they are asked for.
+    fn has_depths(&self, index: usize) -> Result<bool, Error> {
+        let name = self.name(index);
+        let normals = self.options.write_normal_maps.then(|| normal_file(name));
+        let png = self.options.write_depth_pngs.then(|| depth_png_file(name));
+        for file in [Some(depth_map_path(name)), normals, png].into_iter().flatten() {
+            if self.is_missing(&file)? {
+                return Ok(false);
+            }
+        }
+        Ok(true)
+    }
+
+    /// Number of steps that an earlier run completed, and whether all depth maps exist. The files
+    /// of planes are deleted when all depth maps exist; their steps then count as completed.
+    fn count_done(&self) -> Result<(usize, bool), Error> {
+        let (mut images, mut planes, mut depths) = (0, 0, 0);
+        for index in 0..self.problems.len() {
+            images += usize::from(self.is_undistorted(index)?);
+            planes += usize::from(!self.is_missing(&planes_file(self.name(index)))?);
+            depths += usize::from(self.has_depths(index)?);
+        }
+        let has_all_depths = depths == self.problems.len();
+        Ok((images + depths + if has_all_depths { depths } else { planes }, has_all_depths))
+    }
+
+    fn done(&self, step: DenseStep, index: usize, watch: Watch) -> Result<(), Error> {
+        emit(watch, &Event::DenseDone { step, image: self.name(index) })
+    }
+
+    fn publish(&mut self, names: &[String]) -> Result<(), Error> {
+        self.workspace.folder.publish(names, &[])?;
+        Ok(())
+    }
+
+    /// Writes the undistorted model and the lists of images.
+    fn write_model(&mut self) -> Result<(), Error> {
+        let folder = &self.workspace.folder;
+        let mut names = stage_model(&folder, Some(SPARSE), &self.model, Format::Binary)?;
+        let (mut stereo, mut fusion) = (String::new(), String::new());
+        for problem in &self.problems {
+            let name = &self.model.image(problem.image).name;
+            let sources = problem.sources.iter().map(|id| self.model.image(*id).name.as_str());
+            stereo += &format!("{name}\n{}\n", sources.collect::<Vec<_>>().join(", "));
+            fusion += &format!("{name}\n");
+        }
+        folder.stage_bytes(STEREO_LIST, stereo.as_bytes())?;
+        folder.stage_bytes(FUSION_LIST, fusion.as_bytes())?;
+        names.extend([STEREO_LIST, FUSION_LIST].map(str::to_owned));
+        if self.options.write_depth_pngs {
+            folder.stage_bytes(DEPTH_SCALE, self.depth_scale.json().as_bytes())?;
+            names.push(DEPTH_SCALE.to_owned());
+        }
+        self.publish(&names)
+    }
+
+    fn undistort(
+        &mut self,
+        index: usize,
+        image: &Image,
+        model: &Reconstruction,
+        photo: &Path,
+    ) -> Result<(), Error> {
+        let from = model.camera(image.camera);
+        let to = *self.model.camera_of(ImageId::from_index(index));
+        let name = image_file(&image.name);
+        let target = self.workspace.folder.stage(&name)?;
+        let undistortion = Undistortion::new(from, &to);
+        write_undistorted(photo, &undistortion, &target)?;
+        let mut names = vec![name];
+        if let Some(masks) = &self.masks
+            && let Some(mask) = masks.undistorted(&image.name, &undistortion)?
+        {
+            let name = mask_file(&image.name);
+            mask.write(&self.workspace.folder.stage(&name)?)?;
+            names.insert(0, name);
+        }
+        self.publish(&names)
+    }
+
+    fn camera(&self, index: usize) -> Result<PosedPinhole, Error> {
+        let id = ImageId::from_index(index);
+        let (camera, image) = (self.model.camera_of(id), self.model.image(id));
+        let pinhole = image
+            .cam_from_world()
+            .and_then(|cam_from_world| PosedPinhole::new(camera, cam_from_world));
+        pinhole.ok_or_else(|| Error::Dense {
+            path: self.path(&image_file(&image.name)),
+            cause: tiepoint_dense::Error::Distorted {
+                image: image.name.clone(),
+                model: camera.intrinsics.kind().name(),
+            },
+        })
+    }
+
+    /// An undistorted image. It is read from its file also in the run that wrote it, so that an
+    /// interrupted run gives the same results.
+    fn view(&self, index: usize) -> Result<StereoImage, Error> {
+        let camera = self.camera(index)?;
+        let path = self.path(&image_file(self.name(index)));
+        let Luma { width, height, data } = Luma::read(&path)?;
+        let grey = Grey { width: width as usize, height: height as usize, pixels: data };
+        if (grey.width, grey.height) != (camera.width, camera.height) {
+            let (width, height) = (camera.width as u32, camera.height as u32);
+            let cause = tiepoint_dense::Error::Size { width, height, found: grey.pixels.len() };
+            return Err(Error::Dense { path, cause });
+        }
+        Ok(StereoImage { camera, grey })
+    }
+
+    fn sources(&self, index: usize) -> Vec<usize> {
+        self.problems[index].sources.iter().map(|image| image.index()).collect()
+    }
+
+    fn estimate_planes(&mut self, index: usize) -> Result<(), Error> {
+        let reference = self.view(index)?;
+        let sources: Vec<StereoImage> = self
+            .sources(index)
+            .into_iter()
+            .map(|source| self.view(source))
+            .collect::<Result<_, _>>()?;
+        let sources: Vec<&StereoImage> = sources.iter().collect();
+        let seeds = &self.problems[index].seeds;
+        let map = estimate_coarse(&reference, &sources, seeds, index as u64);
+        // An image without a source has no planes.
+        let map = map.unwrap_or(PlaneMap { width: 0, height: 0, planes: Vec::new() });
+        let count = map.planes.len();
+        let mut values = vec![0.0; PLANE_CHANNELS * count];
+        for (pixel, plane) in map.planes.iter().enumerate() {
+            for (channel, value) in plane.iter().enumerate() {
+                values[channel * count + pixel] = *value;
+            }
+        }
+        let PlaneMap { width, height, .. } = map;
+        let name = planes_file(self.name(index));
+        let file = DenseMap { width, height, channels: PLANE_CHANNELS, values };
+        file.write(&self.workspace.folder.stage(&name)?)?;
+        self.publish(&[name])
+    }
+
+    fn read_planes(&self, index: usize) -> Result<PlaneMap, Error> {
+        let path = self.path(&planes_file(self.name(index)));
+        let DenseMap { width, height, channels, values } = DenseMap::read(&path)?;
+        let count = width * height;
+        if channels != PLANE_CHANNELS {
+            let what = format!("it has {channels} channels and not {PLANE_CHANNELS}");
+            return Err(Error::Broken { path, what });
+        }
+        let plane = |pixel| std::array::from_fn(|channel| values[channel * count + pixel]);
+        Ok(PlaneMap { width, height, planes: (0..count).map(plane).collect() })
+    }
+
+    fn estimate_depths(&mut self, index: usize) -> Result<(), Error> {
+        let reference = self.view(index)?;
+        let coarse = self.read_planes(index)?;
+        let mut sources = Vec::new();
+        for source in self.sources(index) {
+            let planes = self.read_planes(source)?;
+            if !planes.planes.is_empty() {
+                sources.push((self.view(source)?, planes));
+            }
+        }
+        let sources: Vec<FineSource> = sources
+            .iter()
+            .map(|(view, planes)| FineSource { view, planes: planes.clone() })
+            .collect();
+        let seeds = &self.problems[index].seeds;
+        let estimate = match coarse.planes.is_empty() {
+            true => None,
+            false => estimate_fine(&reference, sources, seeds, &coarse, index as u64),
+        };
+        let (width, height) = (reference.grey.width, reference.grey.height);
+        let none = || DepthMap { width, height, depths: vec![0.0; width * height] };
+        let mut depths = estimate.map_or_else(none, |FineEstimate { depths, .. }| depths);
+        self.apply_mask(index, &mut depths)?;
+        let mut names = vec![depth_map_path(self.name(index))];
+        if self.options.write_normal_maps {
+            let normals = normals_of(&depths, &reference.camera);
+            let channel = |channel: usize| normals.iter().map(move |normal| normal[channel]);
+            let values = (0..3).flat_map(channel).collect();
+            let name = normal_file(self.name(index));
+            let file = DenseMap { width, height, channels: 3, values };
+            file.write(&self.workspace.folder.stage(&name)?)?;
+            names.insert(0, name);
+        }
+        if self.options.write_depth_pngs {
+            let name = depth_png_file(self.name(index));
+            let target = self.workspace.folder.stage(&name)?;
+            self.depth_scale.write(&target, width as u32, height as u32, &depths.depths)?;
+            names.insert(0, name);
+        }
+        let file = DenseMap { width, height, channels: 1, values: depths.depths };
+        let name = names.last().expect("the depth map is the last of the names");
+        file.write(&self.workspace.folder.stage(name)?)?;
+        self.publish(&names)
+    }
+
+    /// Removes the depths where the mask of an image is 0.
+    fn apply_mask(&self, index: usize, depths: &mut DepthMap) -> Result<(), Error> {
+        let name = mask_file(self.name(index));
+        if self.masks.is_none() || self.is_missing(&name)? {
+            return Ok(());
+        }
+        let path = self.path(&name);
+        let mask = Luma::read(&path)?;
+        if mask.data.len() != depths.depths.len() {
+            let (width, height) = (depths.width as u32, depths.height as u32);
+            let cause = tiepoint_dense::Error::Size { width, height, found: mask.data.len() };
+            return Err(Error::Dense { path, cause });
+        }
+        for (depth, is_used) in depths.depths.iter_mut().zip(mask.data) {
+            if is_used == 0 {
+                *depth = 0.0;
+            }
+        }
+        Ok(())
+    }
+
+    /// Fuses the depth maps into the staged cloud. Returns the report and the names of the files
+    /// that are of no further use.
+    fn fuse(&mut self) -> Result<(DenseReport, Vec<String>), Error> {
+        let folder = &self.workspace.folder;
+        let mut ply = FusedPly::create(&folder.stage(DENSE_CLOUD)?)?;
+        let mut visibility = FusedVisibility::create(&folder.stage(VISIBILITY)?)?;
+        let mut report = DenseReport::default();
+        for (index, problem) in self.problems.iter().enumerate() {
+            match problem.sources.is_empty() || problem.seeds.is_empty() {
+                true => report.without_depth_map.push(self.name(index).to_owned()),
+                false => {
+                    let camera = self.camera(index)?;
+                    report.depth_maps += 1;
+                    report.megapixels += (camera.width * camera.height) as f64 / 1e6;
+                }
+            }
+        }
+        let load = |index: usize| self.fusion_image(index);
+        let take = |point: tiepoint_dense::fusion::FusedPoint| -> Result<(), Error> {
+            ply.push(point.xyz, point.normal, point.color)?;
+            Ok(visibility.push(&point.views)?)
+        };
+        fuse(&self.fusion_neighbours(), &FusionOptions::default(), load, take)?;
+        visibility.finish()?;
+        report.points = ply.finish()?;
+        let planes = (0..self.problems.len()).map(|index| planes_file(self.name(index)));
+        Ok((report, planes.collect()))
+    }
+
+    fn fusion_image(&self, index: usize) -> Result<FusionImage, Error> {
+        let camera = self.camera(index)?;
+        let path = self.path(&depth_map_path(self.name(index)));
+        let DenseMap { width, height, values, .. } = DenseMap::read(&path)?;
+        let photo = self.path(&image_file(self.name(index)));
+        let rgb = Rgb::read_of_size(&photo, camera.width as u32, camera.height as u32)?;
+        let depths = DepthMap { width, height, depths: values };
+        FusionImage::new(camera, depths, rgb.data).map_err(|cause| Error::Dense { path, cause })
+    }
+
+    /// The images that may see the surfaces of each image: its sources, and those it is a source
+    /// of.
+    fn fusion_neighbours(&self) -> Vec<Vec<usize>> {
+        let mut neighbours: Vec<Vec<usize>> =
+            (0..self.problems.len()).map(|index| self.sources(index)).collect();
+        for index in 0..neighbours.len() {
+            for source in self.sources(index) {
+                if !neighbours[source].contains(&index) {
+                    neighbours[source].push(index);
+                }
+            }
+        }
+        neighbours
+    }
+}

@@ -1,0 +1,340 @@
+//! Stage 1: extracts keypoints and descriptors of every image into the database.
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::Read;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use tiepoint_input::cameras::{
+    Calibration, CalibrationSource, Calibrations, FoundCameras, Photo, firsts,
+};
+use tiepoint_input::fingerprint::hash_file;
+use tiepoint_input::parallel::{budget_bytes, for_each_within_budget};
+use tiepoint_input::{DEFAULT_MAX_PIXELS, ImageInfo};
+use tiepoint_io::database::{Database, read_stage_rows};
+use tiepoint_io::features::{self as sift, Features};
+use tiepoint_io::timestamps;
+use tiepoint_sfm::geometry::numeric::median;
+use tiepoint_sfm::scene::{Camera, CameraId, Image, ImageId};
+use tiepoint_store::Error as StoreError;
+
+use crate::stages::extractors::{Extractors, memory_of};
+use crate::stages::option_keys;
+use crate::workspace::TIMESTAMPS;
+use crate::workspace::records::{Progress, Recipe};
+use crate::{
+    CameraGrouping, CameraReport, Error, Event, FeaturesReport, Photos, SkippedImage, Stage, Watch,
+    Workspace, emit,
+};
+
+/// Options of feature extraction.
+#[derive(Clone, Debug)]
+pub struct FeatureOptions {
+    /// Prior knowledge of the intrinsics of cameras without a calibration file.
+    pub calibration: Calibration,
+    /// Files of known calibrations, whose intrinsics stay fixed.
+    pub calibration_files: Vec<CalibrationSource>,
+    /// Which photos share a camera.
+    pub cameras: CameraGrouping,
+    /// Options of SIFT.
+    pub detector: sift::Options,
+    /// CSV file of the capture times with the header `image,seconds`; `None`: times in the file
+    /// names or in EXIF.
+    pub timestamps: Option<PathBuf>,
+    /// Photos with more pixels are skipped, which bounds the memory that a damaged or malicious
+    /// file can request. At most [`ABSOLUTE_MAX_PIXELS`](tiepoint_input::ABSOLUTE_MAX_PIXELS).
+    pub max_pixels: u64,
+}
+
+impl Default for FeatureOptions {
+    fn default() -> Self {
+        Self {
+            calibration: Calibration::default(),
+            calibration_files: Vec::new(),
+            cameras: CameraGrouping::default(),
+            detector: sift::Options::default(),
+            timestamps: None,
+            max_pixels: DEFAULT_MAX_PIXELS,
+        }
+    }
+}
+
+impl FeatureOptions {
+    /// The recipe of the stage: fingerprint of the photos, the options, and what was found of the
+    /// cameras.
+    fn recipe(&self, photos: &Photos, found: &FoundCameras) -> Result<Recipe, Error> {
+        let Self { calibration, calibration_files, cameras, detector, timestamps, max_pixels } =
+            self;
+        let files = calibration_files.iter().map(CalibrationSource::fingerprint);
+        let files: Vec<String> = files.collect::<Result<_, _>>()?;
+        let timestamps = timestamps.as_deref().map(hash_file).transpose()?;
+        let mut texts = option_keys::feature_options(calibration, detector, timestamps);
+        texts.push(option_keys::pixel_limit_option(*max_pixels));
+        texts.push(option_keys::cameras_option(*cameras));
+        texts.push(option_keys::calibration_files_option(&files));
+        texts.extend(found.facts.texts());
+        Ok(Recipe::new(photos.fingerprint()?, texts))
+    }
+}
+
+/// Extracts the features of all photos into the database of a workspace, or resumes that. Photos
+/// that cannot be read are reported and skipped.
+///
+/// # Errors
+///
+/// The options are invalid; the stage was run with other photos or options, and `redo` does not ask
+/// for it; fewer than two photos are usable, or photos that are to share a camera differ in size; a
+/// file cannot be read or written; `watch` returns `Break`.
+pub fn extract_features(
+    photos: &Photos,
+    workspace: &mut Workspace,
+    options: &FeatureOptions,
+    redo: Option<Stage>,
+    watch: Watch,
+) -> Result<(), Error> {
+    const STAGE: Stage = Stage::Features;
+    options.detector.validate()?;
+    let photos = &photos.with_max_pixels(options.max_pixels);
+    let inputs_before = std::mem::replace(&mut workspace.records.inputs, photos.inputs.clone());
+    let calibrations = Calibrations::read(&options.calibration_files, &photos.folder)?;
+    let (usable, mut skipped) = photos.survey(options.cameras, &calibrations)?;
+    let found =
+        FoundCameras::new(photos, &usable, &options.calibration, &calibrations, options.cameras)?;
+    let recipe = options.recipe(photos, &found)?;
+    let times = times(photos, &usable, options)?;
+    let calibration_files = options.calibration_files.iter().map(|source| source.path.as_path());
+    workspace
+        .folder
+        .protect(photos.files().chain(options.timestamps.as_deref()).chain(calibration_files));
+    let progress = workspace.begin(STAGE, &recipe, redo)?;
+    if progress == Progress::Kept {
+        if workspace.records.inputs != inputs_before {
+            // The photos have moved, and exports need their paths.
+            workspace.note(|_| {})?;
+        }
+        return emit(watch, &Event::StageKept { stage: STAGE });
+    }
+    let start = Instant::now();
+    let cameras = found.cameras;
+    // Foreign files are detected before anything is replaced.
+    let staged = workspace.folder.stage(TIMESTAMPS)?;
+    timestamps::write(&staged, times.iter().map(|(name, time_s)| (*name, *time_s)))?;
+    workspace.folder.ensure_writable_or_equal(TIMESTAMPS)?;
+    let mut database = open(workspace, photos, &usable, &cameras, progress, redo)?;
+    workspace.publish(vec![TIMESTAMPS.to_owned()], &[], |_| {})?;
+    if !workspace.folder.is_unmodified(TIMESTAMPS)? {
+        // A foreign file with the same content: it becomes ours.
+        workspace.folder.claim(&[TIMESTAMPS.to_owned()])?;
+    }
+    let mut counts = database.keypoint_counts()?;
+    let tasks: Vec<(ImageId, &Photo)> = usable
+        .iter()
+        .enumerate()
+        .filter(|(index, _)| counts[*index].is_none())
+        .map(|(index, photo)| (ImageId::from_index(index), photo))
+        .collect();
+    emit(
+        watch,
+        &Event::StageBegan { stage: STAGE, total: usable.len(), done: usable.len() - tasks.len() },
+    )?;
+    let mut notes = photos.notes.clone();
+    notes.extend(photos.folder.notes_on_bits());
+    for what in &notes {
+        emit(watch, &Event::Noted { what })?;
+    }
+    for SkippedImage { image, why } in &skipped {
+        emit(watch, &Event::ImageSkipped { image, why })?;
+    }
+    for photo in firsts(&usable) {
+        if let Some(calibration) = photo.calibration.map(|index| calibrations.shown(index)) {
+            let image = photos.name(photo);
+            emit(watch, &Event::CameraCalibrated { image, calibration: &calibration })?;
+        }
+    }
+    if matches!(options.calibration, Calibration::Unknown { focal_px: None, .. }) {
+        for photo in firsts(&usable).filter(|photo| photo.calibration.is_none()) {
+            let ImageInfo { width, height, ref exif, .. } = photo.info;
+            if let Some(focal_px) = exif.implausible_focal_px(width, height) {
+                emit(watch, &Event::FocalIgnored { image: photos.name(photo), focal_px })?;
+            }
+        }
+    }
+
+    let extractors = Extractors::new(options.detector);
+    let work =
+        |(_, photo): &(ImageId, &Photo)| extractors.extract_photo(&photos.folder, photo.index);
+    let bytes = |(_, photo): &(ImageId, &Photo)| memory_of(&photo.info);
+    let budget = budget_bytes();
+    let taken = for_each_within_budget(
+        budget,
+        bytes,
+        &tasks,
+        work,
+        |(id, photo), found: Result<Features, Error>| {
+            let image = photos.name(photo);
+            match found {
+                Ok(features) => {
+                    let keypoints = features.keypoints.len();
+                    database.write_features([(*id, &features)])?;
+                    counts[id.index()] = Some(keypoints);
+                    emit(watch, &Event::ImageDone { image, keypoints })
+                }
+                Err(error) => {
+                    let why = error.to_string();
+                    emit(watch, &Event::ImageSkipped { image, why: &why })?;
+                    skipped.push(SkippedImage { image: image.to_owned(), why });
+                    Ok(())
+                }
+            }
+        },
+    );
+    let found: Vec<usize> = counts.into_iter().flatten().collect();
+    if taken.is_err() || found.len() < 2 {
+        database.close()?;
+        taken?;
+        return Err(photos
+            .too_few(found.len(), skipped.into_iter().map(|photo| photo.why).collect())
+            .into());
+    }
+    let seconds = start.elapsed().as_secs_f64();
+    let cameras = cameras.iter().enumerate();
+    let report = FeaturesReport {
+        seconds,
+        images: found.len(),
+        keypoints: found.iter().sum(),
+        skipped,
+        notes,
+        cameras: cameras
+            .map(|(index, camera)| CameraReport::new(CameraId::from_index(index), camera, None))
+            .collect(),
+    };
+    // The report is written first, because the database marks the stage as complete.
+    workspace.complete(STAGE);
+    workspace.note(|all| all.stages.features = Some(report))?;
+    let fingerprints = photos.fingerprints(&usable);
+    let fingerprints = fingerprints.iter().map(|(name, text)| (*name, text.as_str()));
+    database.write_photo_fingerprints(fingerprints)?;
+    database.write_stage_rows(&workspace.records.rows())?;
+    database.close()?;
+    emit(watch, &Event::StageDone { stage: STAGE, seconds })
+}
+
+/// Names and capture times, in seconds, of the images with a known time.
+fn times<'a>(
+    photos: &'a Photos,
+    usable: &[Photo],
+    options: &FeatureOptions,
+) -> Result<Vec<(&'a str, f64)>, Error> {
+    let names = usable.iter().map(|photo| photos.folder.images()[photo.index].name.as_str());
+    let Some(path) = &options.timestamps else {
+        return Ok(names
+            .zip(usable)
+            .filter_map(|(name, photo)| Some((name, photo.info.time_s?)))
+            .collect());
+    };
+    let given = timestamps::read(path)?;
+    let times: Vec<_> = names.filter_map(|name| Some((name, *given.get(name)?))).collect();
+    if times.is_empty() {
+        let example = photos.folder.images().first().map_or("", |image| image.name.as_str());
+        let what = format!(
+            "it has a time for none of the photos; names are relative to the input, as {example}"
+        );
+        return Err(Error::Times { path: path.clone(), what });
+    }
+    if let Some(what) = implausible(photos, usable, &given) {
+        return Err(Error::Times { path: path.clone(), what });
+    }
+    Ok(times)
+}
+
+/// Longest usual interval between photos of a camera, in seconds: four months. Nanoseconds of a
+/// camera at 30 Hz make a year, and half or twice of this limit tell no unit apart from another.
+const MAX_INTERVAL_S: f64 = 1e7;
+
+/// A sentence on times of a camera that cannot be seconds: all are equal, or years apart.
+fn implausible(
+    photos: &Photos,
+    usable: &[Photo],
+    times_s: &BTreeMap<String, f64>,
+) -> Option<String> {
+    let mut of_cameras: BTreeMap<usize, Vec<f64>> = BTreeMap::new();
+    for photo in usable {
+        let image = &photos.folder.images()[photo.index];
+        if let Some(time_s) = times_s.get(&image.name) {
+            of_cameras.entry(image.camera.index()).or_default().push(*time_s);
+        }
+    }
+    of_cameras.retain(|_, times_s| times_s.len() > 1);
+    let mut intervals_s: Vec<f64> = Vec::new();
+    for times_s in of_cameras.values_mut() {
+        times_s.sort_by(f64::total_cmp);
+        intervals_s.extend(times_s.windows(2).map(|two| two[1] - two[0]));
+    }
+    if !intervals_s.is_empty() && intervals_s.iter().all(|interval_s| *interval_s == 0.0) {
+        return Some(
+            "all times of a camera are equal: give the time of each photo, or leave --timestamps \
+            out"
+            .to_owned(),
+        );
+    }
+    let usual_s = median(&mut intervals_s).filter(|usual_s| *usual_s > MAX_INTERVAL_S)?;
+    Some(format!(
+        "photos of a camera are {usual_s:.0} s apart, more than four months: seconds are expected, \
+        not nanoseconds"
+    ))
+}
+
+/// Opens the database to resume, or creates it with cameras and images.
+///
+/// # Errors
+///
+/// A foreign file has its name, it is damaged and is not to be redone, or it cannot be written.
+fn open(
+    workspace: &Workspace,
+    photos: &Photos,
+    usable: &[Photo],
+    cameras: &[Camera],
+    progress: Progress,
+    redo: Option<Stage>,
+) -> Result<Database, Error> {
+    let path = workspace.database();
+    if path.is_file() {
+        match read_stage_rows(&path) {
+            // The file was renamed into place after cameras, images and rigs had been written, so
+            // that only features can be missing.
+            Ok(Some(_)) if progress == Progress::Continue => {
+                let database = Database::open(&path)?;
+                if database.num_images() == usable.len() {
+                    return Ok(database);
+                }
+            }
+            Ok(Some(_)) => {}
+            Ok(None) => return Err(StoreError::ForeignFile { path }.into()),
+            Err(_) if !is_sqlite(&path) => return Err(StoreError::ForeignFile { path }.into()),
+            Err(cause) if redo != Some(Stage::Features) => {
+                return Err(Error::BrokenDatabase { path, cause: Box::new(cause) });
+            }
+            Err(_) => {}
+        }
+    }
+    let image = |photo: &Photo| {
+        Image::new(photos.name(photo), CameraId::from_index(photo.camera), Vec::new())
+    };
+    let images: Vec<Image> = usable.iter().map(image).collect();
+    Ok(Database::create_with(&path, |database| {
+        database.write_cameras(cameras)?;
+        database.write_images(&images)?;
+        database.write_rigs(&[], &[])?;
+        database.write_stage_rows(&workspace.records.rows())
+    })?)
+}
+
+/// Whether a file has the header of SQLite.
+fn is_sqlite(path: &Path) -> bool {
+    const HEADER: &[u8] = b"SQLite format 3\0";
+    let mut head = Vec::new();
+    let read =
+        File::open(path).and_then(|file| file.take(HEADER.len() as u64).read_to_end(&mut head));
+    read.is_ok() && head == HEADER
+}

@@ -1,0 +1,278 @@
+//! Stage 1 and 2 for a database of another program: it is copied into the workspace and taken as it
+//! is.
+//!
+//! Verified pairs keep their matches. Pairs with matches alone are verified. A pair whose row holds
+//! no geometry but placeholders (identity matrices, a pose without translation) gets the geometry
+//! of its own matches, because the mapper begins with it.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use tiepoint_input::fingerprint::hash_files;
+use tiepoint_input::parallel::for_each_in_order;
+use tiepoint_io::database::{Database, read_stage_rows};
+use tiepoint_sfm::geometry::Rng;
+use tiepoint_sfm::geometry::nalgebra::Matrix3;
+use tiepoint_sfm::scene::{
+    Camera, CameraId, Image, ImageId, ImagePair, Match, TwoView, TwoViewKind,
+};
+use tiepoint_sfm::{ImageObservations, VerifyOptions, verify_pair};
+use tiepoint_store::Error as StoreError;
+
+use crate::stages::option_keys;
+use crate::workspace::keypoints::keypoint;
+use crate::workspace::option_names;
+use crate::workspace::records::{Progress, Recipe};
+use crate::{
+    CameraReport, Error, Event, FeaturesReport, MatchReport, Stage, Watch, Workspace, emit,
+};
+
+/// Pairs per transaction.
+const PAIRS_PER_TRANSACTION: usize = 64;
+
+/// Copies a database of another program into a workspace, in place of extracting features. The file
+/// is not changed. `inputs`: folders of the photos, for colours and dense reconstruction; may be
+/// empty.
+///
+/// # Errors
+///
+/// The file is not a database of COLMAP or has fewer than two images with keypoints; the stage was
+/// run with another file, and `redo` does not ask for it; a file cannot be read or written.
+pub fn import_features(
+    file: &Path,
+    inputs: &[PathBuf],
+    workspace: &mut Workspace,
+    redo: Option<Stage>,
+    watch: Watch,
+) -> Result<(), Error> {
+    const STAGE: Stage = Stage::Features;
+    let source = Database::open_read_only(file)?;
+    let has_pairs = source.has_pairs()?;
+    drop(source);
+    let fingerprint = hash_files(&files_of(file))?;
+    let recipe =
+        Recipe::new(fingerprint.clone(), option_keys::database_options(&fingerprint, has_pairs));
+    let absolute = |path: &PathBuf| path.canonicalize().map_err(Error::unreadable(&path));
+    let inputs: Vec<PathBuf> = inputs.iter().map(absolute).collect::<Result<_, _>>()?;
+    let inputs_before = std::mem::replace(&mut workspace.records.inputs, inputs);
+    workspace.folder.protect([file]);
+    if workspace.begin(STAGE, &recipe, redo)? == Progress::Kept {
+        if workspace.records.inputs != inputs_before {
+            workspace.note(|_| {})?;
+        }
+        return emit(watch, &Event::StageKept { stage: STAGE });
+    }
+    let start = Instant::now();
+    let path = workspace.database();
+    if path.is_file() && !matches!(read_stage_rows(&path), Ok(Some(_))) {
+        return Err(StoreError::ForeignFile { path }.into());
+    }
+    let rows = workspace.records.rows();
+    let mut database =
+        Database::copy_with(file, &path, |database| database.write_stage_rows(&rows))?;
+    workspace.note(|_| {})?;
+    let counts: Vec<usize> = database.keypoint_counts()?.into_iter().flatten().collect();
+    let images = counts.iter().filter(|count| **count > 0).count();
+    emit(watch, &Event::StageBegan { stage: STAGE, total: images, done: images })?;
+    if images < 2 {
+        database.close()?;
+        return Err(Error::EmptyDatabase { path: file.to_owned(), images });
+    }
+    let cameras = database.read_cameras()?;
+    let seconds = start.elapsed().as_secs_f64();
+    let cameras = cameras.iter().enumerate();
+    let report = FeaturesReport {
+        seconds,
+        images,
+        keypoints: counts.iter().sum(),
+        skipped: Vec::new(),
+        notes: Vec::new(),
+        cameras: cameras
+            .map(|(index, camera)| CameraReport::new(CameraId::from_index(index), camera, None))
+            .collect(),
+    };
+    workspace.complete(STAGE);
+    workspace.note(|all| all.stages.features = Some(report))?;
+    database.write_stage_rows(&workspace.records.rows())?;
+    database.close()?;
+    emit(watch, &Event::StageDone { stage: STAGE, seconds })
+}
+
+/// A database and its log.
+fn files_of(file: &Path) -> Vec<PathBuf> {
+    let mut log = file.as_os_str().to_owned();
+    log.push("-wal");
+    let log = PathBuf::from(log);
+    let has_log = log.metadata().is_ok_and(|found| found.len() > 0);
+    std::iter::once(file.to_owned()).chain(has_log.then_some(log)).collect()
+}
+
+/// Whether the pairs of a workspace came with its database and are to be kept.
+pub(crate) fn has_imported_pairs(workspace: &Workspace, redo: Option<Stage>) -> bool {
+    let option = |stage, key| workspace.records.option(stage, key);
+    let of_matches = option(Stage::Match, option_names::PAIRS);
+    redo != Some(Stage::Match)
+        && option(Stage::Features, option_names::FOUND_PAIRS).is_some()
+        && of_matches.is_none_or(|pairs| pairs == option_names::PAIRS_OF_DATABASE)
+}
+
+/// Checks that the features of a database of another program can be matched.
+///
+/// # Errors
+///
+/// [`Error::NoSift`].
+pub(crate) fn require_sift(workspace: &Workspace, database: &Database) -> Result<(), Error> {
+    let is_imported = workspace.records.option(Stage::Features, option_names::DATABASE).is_some();
+    match is_imported.then(|| database.image_without_sift()).transpose()?.flatten() {
+        Some(image) => Err(Error::NoSift { path: workspace.database(), image }),
+        None => Ok(()),
+    }
+}
+
+/// Stage 2 for pairs that came with the database: verifies those that have matches alone.
+///
+/// # Errors
+///
+/// The stage was run with other options; the database cannot be read or written; `watch` returns
+/// `Break`.
+pub(crate) fn verify_imported_pairs(
+    workspace: &mut Workspace,
+    options: &VerifyOptions,
+    seed: u64,
+    redo: Option<Stage>,
+    watch: Watch,
+) -> Result<(), Error> {
+    const STAGE: Stage = Stage::Match;
+    let input = workspace.fingerprint(Stage::Features)?;
+    let recipe = Recipe::new(input, option_keys::imported_pairs_options(options, seed));
+    let progress = workspace.begin(STAGE, &recipe, redo)?;
+    if progress == Progress::Kept {
+        return emit(watch, &Event::StageKept { stage: STAGE });
+    }
+    let start = Instant::now();
+    let mut database = Database::open(&workspace.database())?;
+    if progress == Progress::Begin {
+        database.write_stage_rows(&workspace.records.rows())?;
+        workspace.note(|_| {})?;
+    }
+    let pairs = Pairs::read(&database)?;
+    emit(watch, &Event::StageBegan { stage: STAGE, total: pairs.all.len(), done: 0 })?;
+    let tasks: Vec<ImagePair> = pairs.all.keys().copied().collect();
+    let names: Vec<String> = pairs.images.iter().map(|image| image.name.clone()).collect();
+    let mut report = MatchReport::default();
+    let mut batch: Vec<(ImagePair, TwoView)> = Vec::new();
+    // Matches are read a batch at a time.
+    for tasks in tasks.chunks(PAIRS_PER_TRANSACTION) {
+        let read = tasks.iter().map(|pair| Ok((*pair, database.read_matches_of(*pair)?)));
+        let read = read.collect::<Result<Vec<_>, Error>>()?;
+        let work = |(pair, matches): &(ImagePair, Vec<Match>)| {
+            pairs.verified(*pair, matches, options, seed)
+        };
+        let taken = for_each_in_order(&read, work, |(pair, matches), (view, is_new)| {
+            let inliers = view.matches.len();
+            report.pairs += 1;
+            report.matches += if matches.is_empty() { inliers } else { matches.len() };
+            if view.is_verified() {
+                report.verified_pairs += 1;
+                report.inlier_matches += inliers;
+            }
+            if is_new {
+                batch.push((*pair, view));
+            }
+            let [image1, image2] = [pair.a, pair.b].map(|image| names[image.index()].as_str());
+            emit(watch, &Event::PairDone { image1, image2, matches: matches.len(), inliers })
+        });
+        database.write_two_views(batch.iter().map(|(pair, view)| (*pair, view)))?;
+        batch.clear();
+        taken?;
+    }
+    workspace.complete_matching(database, report, start, watch)
+}
+
+/// The pairs of a database.
+pub(crate) struct Pairs {
+    cameras: Vec<Camera>,
+    images: Vec<Image>,
+    /// The two-view geometry of each pair that has one.
+    pub(crate) all: BTreeMap<ImagePair, Option<TwoView>>,
+}
+
+impl Pairs {
+    pub(crate) fn read(database: &Database) -> Result<Self, Error> {
+        let mut all: BTreeMap<ImagePair, Option<TwoView>> =
+            database.matched_pairs()?.into_iter().map(|pair| (pair, None)).collect();
+        all.extend(database.read_two_views()?.into_iter().map(|(pair, view)| (pair, Some(view))));
+        let mut images = Vec::new();
+        for (index, image) in database.read_images()?.into_iter().enumerate() {
+            let keypoints = database.read_keypoints(ImageId::from_index(index))?;
+            let keypoints = keypoints.iter().map(keypoint).collect();
+            images.push(Image::new(image.name, image.camera, keypoints));
+        }
+        Ok(Self { cameras: database.read_cameras()?, images, all })
+    }
+
+    /// The two-view geometry of a pair, and whether it differs from that in the database.
+    pub(crate) fn verified(
+        &self,
+        pair: ImagePair,
+        raw: &[Match],
+        options: &VerifyOptions,
+        seed: u64,
+    ) -> (TwoView, bool) {
+        let found = self.all[&pair].as_ref();
+        let is_decided = found.is_some_and(|view| view.kind != TwoViewKind::Undefined);
+        if let (Some(view), true) = (found, is_decided) {
+            let cleaned = without_placeholders(view);
+            let has_geometry = cleaned.cam2_from_cam1.is_some() || cleaned.fundamental.is_some();
+            if !cleaned.is_verified() || cleaned.matches.is_empty() || has_geometry {
+                let is_new = cleaned != *view;
+                return (cleaned, is_new);
+            }
+            let estimated = self.verify(pair, &cleaned.matches, options, seed);
+            // All matches were inliers to the program that wrote them.
+            let matches = cleaned.matches.clone();
+            let view = if estimated.is_verified() { estimated } else { cleaned };
+            return (TwoView { matches, ..view }, true);
+        }
+        let own = found.map_or(&[][..], |view| &view.matches);
+        (self.verify(pair, if raw.is_empty() { own } else { raw }, options, seed), true)
+    }
+
+    fn verify(
+        &self,
+        pair: ImagePair,
+        matches: &[Match],
+        options: &VerifyOptions,
+        seed: u64,
+    ) -> TwoView {
+        let image = |id: ImageId| &self.images[id.index()];
+        let view = |id: ImageId| ImageObservations {
+            keypoints: &image(id).keypoints,
+            camera: &self.cameras[image(id).camera.index()],
+        };
+        let has = |id: ImageId, keypoint: u32| (keypoint as usize) < image(id).keypoints.len();
+        let matches: Vec<Match> =
+            matches.iter().filter(|m| has(pair.a, m.a) && has(pair.b, m.b)).copied().collect();
+        let key = [u64::from(pair.a.0), u64::from(pair.b.0)];
+        let seed = Rng::stream(seed, &key).next_u64();
+        verify_pair(view(pair.a), view(pair.b), &matches, options, seed)
+    }
+}
+
+/// A two-view geometry without placeholders: programs write identity or zero for a matrix or a pose
+/// that they did not estimate.
+fn without_placeholders(view: &TwoView) -> TwoView {
+    let is_real = |matrix: &Matrix3<f64>| *matrix != Matrix3::identity() && matrix.amax() > 0.0;
+    let is_still = view.kind == TwoViewKind::Panoramic;
+    TwoView {
+        kind: view.kind,
+        fundamental: view.fundamental.filter(is_real),
+        essential: view.essential.filter(is_real),
+        homography: view.homography.filter(is_real),
+        cam2_from_cam1: view
+            .cam2_from_cam1
+            .filter(|pose| is_still || pose.translation.norm_squared() > 0.0),
+        matches: view.matches.clone(),
+    }
+}

@@ -1,0 +1,569 @@
+//! Stage 3: incremental mapping from the database to `sparse/`, `points.ply`, `rig.json` and the
+//! report.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::ops::ControlFlow;
+use std::path::PathBuf;
+use std::time::Instant;
+
+use tiepoint_input::ImageFolder;
+use tiepoint_input::cameras::CalibrationFacts;
+use tiepoint_input::fingerprint::hash_file;
+use tiepoint_io::colmap::Format;
+use tiepoint_io::database::{Database, DatabaseFrame};
+use tiepoint_io::{ply, timestamps};
+use tiepoint_sfm::scene::{Camera, CameraId, CorrespondenceGraph, Image, ImageId, Reconstruction};
+use tiepoint_sfm::{
+    self as sfm, Existing, Failure, MappedModel, MapperOptions, OptionalStage, RefineIntrinsics,
+    RigMode, VerifyOptions, rig_candidates, rig_pairs,
+};
+
+use crate::stages::colors::color_points;
+use crate::stages::input_model::{InputModel, OpenedModel};
+use crate::stages::option_keys;
+use crate::stages::rig_calibration::known_rigs;
+use crate::stages::rig_hints::why_no_rig;
+use crate::stages::scale::scale_to_baseline;
+use crate::workspace::database_scene::read_scene;
+use crate::workspace::file_names::{SPARSE, is_rig_name, model_path, rig_name};
+use crate::workspace::model_output::{model_names, stage_model};
+use crate::workspace::records::{Progress, Recipe};
+use crate::workspace::report::ScaleReport;
+use crate::workspace::rig_file::RigFile;
+use crate::workspace::{POINTS, option_names, rigs_in};
+use crate::{Error, Event, MapReport, ModelReport, RigReport, Size, Stage, Watch, Workspace, emit};
+
+/// Options of mapping.
+#[derive(Clone, Debug, Default)]
+pub struct MapOptions {
+    /// Options of the mapper.
+    pub mapper: MapperOptions,
+    /// Intrinsics to refine, also of cameras whose intrinsics are known; `None`: those of
+    /// [`MapOptions::mapper`], and known ones stay fixed.
+    pub refine: Option<RefineIntrinsics>,
+    /// Known distance between the first two cameras, in metres: it determines the scale of the
+    /// models.
+    pub baseline_m: Option<f64>,
+    /// The model to go on from.
+    pub input_model: Option<InputModel>,
+    /// Known rigs: COLMAP's `rig_config.json` or Kalibr's camchain. Frames are registered as a
+    /// whole, and [`MapperOptions::rig`] has no effect.
+    pub rig_calibration: Option<PathBuf>,
+    /// Whether the extrinsics of the known rigs are initial values, which are refined.
+    pub refine_extrinsics: bool,
+}
+
+/// Maps a workspace that has matches and writes its models, the largest first.
+///
+/// # Errors
+///
+/// The workspace has no matches; the stage was run with other options, and `redo` does not ask for
+/// it; the input model cannot be read, has no image in common with the workspace, or contradicts
+/// another option; a focal length is to be constant and is not known; no image pair overlaps; a rig
+/// constraint or a rolling shutter is asked for and the capture times do not suffice; the mapper
+/// fails; a file cannot be read or written; `watch` returns `Break`.
+pub fn map(
+    workspace: &mut Workspace,
+    map_options: &MapOptions,
+    redo: Option<Stage>,
+    watch: Watch,
+) -> Result<(), Error> {
+    const STAGE: Stage = Stage::Map;
+    let &MapOptions { mapper: mut options, refine, baseline_m, refine_extrinsics, .. } =
+        map_options;
+    let rig_calibration = map_options.rig_calibration.as_deref();
+    let input_model = map_options.input_model.as_ref().map(InputModel::open).transpose()?;
+    if let Some(refine) = refine {
+        options.refine = refine;
+    } else if workspace.records.option(Stage::Features, option_names::INTRINSICS).is_some() {
+        options.refine = RefineIntrinsics::NONE;
+    }
+    let mut texts = option_keys::mapping_options(&options, baseline_m);
+    let has_known = input_model.is_some()
+        || rig_calibration.is_some()
+        || [option_names::INTRINSICS, CalibrationFacts::CALIBRATED]
+            .iter()
+            .any(|option| workspace.records.option(Stage::Features, option).is_some());
+    texts.push(option_keys::known_intrinsics_option(refine.is_some() && has_known));
+    if let Some(model) = &input_model {
+        if rig_calibration.is_some() {
+            let (option, with) = ("--rig-calibration", "--input-model");
+            return Err(Error::MovesPoses { option, with });
+        }
+        texts.extend(model.texts());
+        options = model.options(options)?;
+        workspace.folder.protect(model.files());
+    }
+    let hash = rig_calibration.map(hash_file).transpose()?;
+    texts.extend(option_keys::rig_calibration_options(hash, refine_extrinsics));
+    let recipe = Recipe::new(workspace.fingerprint(Stage::Match)?, texts);
+    let progress = workspace.begin(STAGE, &recipe, redo)?;
+    if progress == Progress::Kept {
+        return emit(watch, &Event::StageKept { stage: STAGE });
+    }
+    let start = Instant::now();
+    // Foreign files are detected before mapping. Old models stay until the new ones are complete.
+    let replaced = replaced_names(workspace);
+    workspace.folder.ensure_writable(replaced.iter().map(String::as_str))?;
+    let mut scene = load_scene(workspace)?;
+    if let Some(model) = &input_model {
+        apply_input_model(&mut scene, model, refine.is_some(), watch)?;
+    }
+    let graph = load_graph(workspace, &scene)?;
+    let known_rigs =
+        rig_calibration.map(|path| known_rigs(path, &mut scene, refine_extrinsics)).transpose()?;
+    // The focal lengths of an input model or a foreign database are those that it has.
+    let is_foreign = input_model.is_some()
+        || workspace.records.option(Stage::Features, option_names::DATABASE).is_some();
+    if refine.is_some_and(|refine| !refine.focal)
+        && !is_foreign
+        && let Some(image) = image_without_focal(&scene)
+    {
+        return Err(Error::UnknownFocal {
+            path: workspace.root().to_owned(),
+            image: image.name.clone(),
+        });
+    }
+    if refine.is_some() {
+        let known = std::mem::take(&mut scene.calibrated);
+        scene.expected_intrinsics =
+            known.into_iter().map(|id| (id, scene.camera(id).intrinsics)).collect();
+    }
+    let total = scene.images().filter(|(_, image)| !image.keypoints.is_empty()).count();
+    emit(watch, &Event::StageBegan { stage: STAGE, total, done: 0 })?;
+    if graph.pairs().is_empty() {
+        let required = VerifyOptions::default().min_num_inliers;
+        return Err(no_overlap(workspace, required)?);
+    }
+    match options.rig {
+        RigMode::Off | RigMode::Auto => {}
+        _ if known_rigs.is_some() => {}
+        mode => require_synchronous_images(workspace, &scene, mode)?,
+    }
+    if options.readout.is_some() && !is_timed(&scene) {
+        return Err(Error::NoTimedSequence { path: workspace.root().to_owned() });
+    }
+    let name = |id| scene.image(id).name.as_str();
+    let database = Database::open(&workspace.database())?;
+    let is_imported = workspace.records.option(Stage::Features, option_names::DATABASE).is_some();
+    let has_sift = !is_imported || database.image_without_sift()?.is_none();
+    let mut unreadable = None;
+    let mut descriptors = |image: ImageId| {
+        // The images of an input model come behind those of the database.
+        if !has_sift || image.index() >= database.num_images() {
+            return Vec::new();
+        }
+        database.read_features(image).map_or_else(
+            |error| {
+                unreadable.get_or_insert(error);
+                Vec::new()
+            },
+            |features| features.descriptors,
+        )
+    };
+    let mut notified = |event: &sfm::Event| {
+        translate(event, &name).map_or(ControlFlow::Continue(()), |event| watch(&event))
+    };
+    let mut models = match (&input_model, &known_rigs) {
+        (None, None) => sfm::map(&graph, &scene, &mut descriptors, &options, &mut notified)?,
+        (None, Some(rigs)) => {
+            sfm::map_with_rigs(&graph, &scene, rigs, &mut descriptors, &options, &mut notified)?
+        }
+        (Some(model), _) => {
+            let constant_poses = model.fix_existing_frames;
+            let existing = Existing { model: &scene, constant_poses };
+            sfm::extend(&graph, &existing, &mut descriptors, &options, &mut notified)
+                .map_err(|cause| model.error(cause))?
+        }
+    };
+    if let Some(error) = unreadable {
+        return Err(error.into());
+    }
+    database.close()?;
+    // A database of another program may come without photos.
+    if !workspace.records.inputs.is_empty()
+        && let Err(error) = ImageFolder::open(&workspace.records.inputs, None)
+            .map_err(Error::from)
+            .and_then(|folder| {
+                color_points(&folder, models.iter_mut().map(|model| &mut model.reconstruction))
+            })
+    {
+        // The photos may have moved; the model is valid without colours.
+        emit(watch, &Event::ColorsMissing { why: &error.to_string() })?;
+    }
+    let scales: Vec<Option<ScaleReport>> = match baseline_m {
+        Some(baseline_m) => {
+            scale_to_baseline(&mut models, baseline_m).into_iter().map(Some).collect()
+        }
+        None => vec![None; models.len()],
+    };
+    let staged = stage_models(workspace, &models)?;
+    let reports = models.iter().zip(scales).enumerate();
+    let is_known = known_rigs.is_some();
+    let reports = reports.map(|(index, (model, scale))| {
+        let has_failed = model.failures.iter().any(|failure| failure.stage == OptionalStage::Rig);
+        let mode = if is_known { RigMode::Off } else { options.rig };
+        let metres_per_unit = scale.as_ref().and_then(|scale| scale.factor).unwrap_or(1.0);
+        ModelReport {
+            scale,
+            loop_pairs: model.num_loop_pairs,
+            failed: model.failures.iter().map(|failure| describe(failure, is_known)).collect(),
+            rig: RigReport::new(mode, is_known && !has_failed, model, metres_per_unit),
+            ..ModelReport::new(model_path(index), &model.reconstruction, &model.shutters)
+        }
+    });
+    let reports: Vec<ModelReport> = reports.collect();
+    let may_be_rig = options.rig != RigMode::Off && !is_known;
+    let notes: Vec<String> = match models.first() {
+        Some(first) if may_be_rig && reports.iter().all(|report| report.rig.is_none()) => {
+            why_no_rig(&first.reconstruction).into_iter().collect()
+        }
+        _ => Vec::new(),
+    };
+    for what in &notes {
+        emit(watch, &Event::Noted { what })?;
+    }
+    let seconds = start.elapsed().as_secs_f64();
+    let removed: Vec<String> = replaced.into_iter().filter(|name| !staged.contains(name)).collect();
+    // The rigs are written after every step that may fail, and before the stage is marked as
+    // complete: after an interruption, a later run repeats the stage and writes them again.
+    if let Some(first) = models.first()
+        && let Err(error) = write_rigs(workspace, &first.reconstruction)
+        && !is_imported
+    {
+        // Tables of another program may have other columns; the model is valid without them.
+        return Err(error);
+    }
+    workspace.complete(STAGE);
+    workspace.publish(staged, &removed, |all| {
+        all.stages.map = Some(MapReport { seconds, notes });
+        all.models = reports;
+    })?;
+    emit(watch, &Event::StageDone { stage: STAGE, seconds })
+}
+
+/// A failed optional stage, as a sentence. `has_known_rigs`: rigs are not estimated.
+fn describe(Failure { stage, why }: &Failure, has_known_rigs: bool) -> String {
+    let stage = match stage {
+        OptionalStage::RollingShutter => "the rolling-shutter correction failed",
+        OptionalStage::Rig if has_known_rigs => {
+            return format!("the known rig was not used, and the scale is arbitrary: {why}");
+        }
+        OptionalStage::Rig => "the estimation of rig extrinsics failed",
+    };
+    format!("{stage}, and the model is the one before it: {why}")
+}
+
+/// Writes the rigs and frames of the largest model into the database, so that COLMAP can go on from
+/// both. It compares them by their ids.
+fn write_rigs(workspace: &Workspace, model: &Reconstruction) -> Result<(), Error> {
+    let mut database = Database::open(&workspace.database())?;
+    let in_database = |image: &ImageId| image.index() < database.num_images();
+    let is_of_database = model.frames.iter().flat_map(|frame| &frame.images).all(in_database);
+    let has_rigs =
+        !model.rigs.is_empty() || database.read_rigs().is_ok_and(|(rigs, _)| !rigs.is_empty());
+    if is_of_database && has_rigs && database.has_rig_tables()? {
+        let frames: Vec<DatabaseFrame> = model
+            .frames
+            .iter()
+            .map(|frame| DatabaseFrame { rig: frame.rig, images: frame.images.clone() })
+            .collect();
+        database.write_rigs(&model.rigs, &frames)?;
+    }
+    database.close()?;
+    Ok(())
+}
+
+/// An image of a camera whose focal length is neither given nor in EXIF.
+fn image_without_focal(scene: &Reconstruction) -> Option<&Image> {
+    let is_guessed = |image: &Image| {
+        let camera = scene.camera(image.camera);
+        !camera.has_focal_prior
+            && !camera.intrinsics.kind().focal_indices().is_empty()
+            && !scene.calibrated.contains(&image.camera)
+    };
+    scene.images().map(|(_, image)| image).find(|image| is_guessed(image))
+}
+
+/// Replaces the scene by one with the poses and points of a model. Known intrinsics must be those
+/// of the model, unless they are refined.
+fn apply_input_model(
+    scene: &mut Reconstruction,
+    model: &OpenedModel,
+    refine_extrinsics: bool,
+    watch: Watch,
+) -> Result<(), Error> {
+    let found = model.transfer(scene)?;
+    let is_replaced = |(id, image): &(ImageId, &Image)| {
+        !refine_extrinsics
+            && scene.calibrated.contains(&image.camera)
+            && found.existing.contains(id)
+            && found.scene.camera_of(*id).intrinsics != scene.camera(image.camera).intrinsics
+    };
+    if let Some((_, image)) = scene.images().find(is_replaced) {
+        return Err(Error::TwoCalibrations { image: image.name.clone() });
+    }
+    *scene = found.scene;
+    if model.fix_existing_frames {
+        scene.calibrated.extend(found.cameras);
+    }
+    emit(
+        watch,
+        &Event::ModelExtended {
+            images: found.existing.len(),
+            absent: found.num_added_images,
+            other_keypoints: found.num_other_keypoints,
+            points: scene.num_tracks(),
+        },
+    )
+}
+
+/// Reads the scene without poses from the database.
+pub(crate) fn load_scene(workspace: &Workspace) -> Result<Reconstruction, Error> {
+    let database = Database::open(&workspace.database())?;
+    let mut scene = read_scene(&database)?;
+    let value = |key: &str| workspace.records.option(Stage::Features, key);
+    CalibrationFacts::read(value).add_to(&mut scene);
+    if value(option_names::INTRINSICS).is_some() {
+        scene.calibrated = scene.cameras().map(|(id, _)| id).collect();
+    }
+    let times = workspace.verified_timestamps()?;
+    let times = times.map_or(Ok(BTreeMap::new()), |path| timestamps::read(&path))?;
+    for id in (0..scene.num_images()).map(ImageId::from_index) {
+        let time_s = times.get(&scene.image(id).name).copied();
+        scene.set_time(id, time_s);
+    }
+    database.close()?;
+    Ok(scene)
+}
+
+/// Reads the correspondence graph from the database. The scene may have further images.
+fn load_graph(workspace: &Workspace, scene: &Reconstruction) -> Result<CorrespondenceGraph, Error> {
+    let database = Database::open(&workspace.database())?;
+    let counts: Vec<usize> = scene.images().map(|(_, image)| image.keypoints.len()).collect();
+    let graph = CorrespondenceGraph::new(&counts, database.read_two_views()?);
+    database.close()?;
+    Ok(graph)
+}
+
+/// [`Error::NoOverlap`] with the numbers of the database.
+fn no_overlap(workspace: &Workspace, required: usize) -> Result<Error, Error> {
+    let database = Database::open(&workspace.database())?;
+    let matches = database.read_matches()?;
+    let best = matches.iter().map(|(_, matches)| matches.len()).max().unwrap_or(0);
+    let is_given = |option: &&str| workspace.records.option(Stage::Features, option).is_some();
+    let given = [option_names::INTRINSICS, option_names::FOCAL_PRIOR];
+    let cameras = if given.iter().any(is_given) { vec![] } else { database.read_cameras()? };
+    let value = |key: &str| workspace.records.option(Stage::Features, key);
+    let calibrated = CalibrationFacts::read(value).calibrated;
+    let is_from_exif = |(index, camera): &(usize, &Camera)| {
+        camera.has_focal_prior
+            && !camera.intrinsics.kind().focal_indices().is_empty()
+            && !calibrated.contains(&CameraId::from_index(*index))
+    };
+    let camera = cameras.iter().enumerate().find(is_from_exif).map(|(_, camera)| camera);
+    let from_exif =
+        camera.map(|camera| (camera.intrinsics.mean_focal_px(), Size(camera.width, camera.height)));
+    let path = workspace.root().to_owned();
+    Ok(Error::NoOverlap { path, pairs: matches.len(), best, required, from_exif })
+}
+
+/// An event of the mapper with image names in place of ids.
+pub(crate) fn translate<'a>(
+    event: &sfm::Event,
+    name: &dyn Fn(ImageId) -> &'a str,
+) -> Option<Event<'a>> {
+    Some(match *event {
+        sfm::Event::Initialised { image1, image2, num_points } => Event::ModelInitialised {
+            image1: name(image1),
+            image2: name(image2),
+            points: num_points,
+        },
+        sfm::Event::Registered { image, num_registered, num_points, .. } => {
+            Event::ImageRegistered {
+                image: name(image),
+                registered: num_registered,
+                points: num_points,
+            }
+        }
+        sfm::Event::Adjusted { num_images, num_observations, cost, iterations } => {
+            Event::ModelAdjusted {
+                images: num_images,
+                observations: num_observations,
+                cost,
+                iterations,
+            }
+        }
+        sfm::Event::LoopClosed { num_pairs } => Event::LoopClosed { pairs: num_pairs },
+        // The report has these.
+        sfm::Event::Failed(_) | sfm::Event::Merged { .. } => return None,
+    })
+}
+
+/// Checks that a rig constraint has something to constrain: two cameras with two pairs of
+/// synchronous images, or, except for `paper`, times of all images of two cameras, whose clocks
+/// need not be synchronised.
+///
+/// # Errors
+///
+/// [`Error::NoSynchronousImages`].
+fn require_synchronous_images(
+    workspace: &Workspace,
+    scene: &Reconstruction,
+    mode: RigMode,
+) -> Result<(), Error> {
+    let has_times = mode != RigMode::Paper
+        && rig_candidates(scene).len() > 1
+        && scene.images().all(|(_, i)| i.time_s.is_some());
+    if has_times || rig_pairs(scene).iter().any(|rig| rig.pairs.len() >= 2) {
+        return Ok(());
+    }
+    let cameras = rig_candidates(scene).len();
+    Err(Error::NoSynchronousImages { path: workspace.root().to_owned(), cameras })
+}
+
+/// Whether a camera has enough images with times for the interpolation of its motion.
+fn is_timed(scene: &Reconstruction) -> bool {
+    const MIN_TIMES: usize = 4;
+    let times = |id| scene.images().filter(|(_, i)| i.camera == id && i.time_s.is_some()).count();
+    scene.cameras().any(|(id, _)| times(id) >= MIN_TIMES)
+}
+
+/// Names of all existing files of models, which new models replace.
+fn replaced_names(workspace: &Workspace) -> Vec<String> {
+    let prefix = format!("{SPARSE}/");
+    let earlier = workspace.folder.names().filter(|name| name.starts_with(&prefix));
+    let mut names: BTreeSet<String> = earlier.map(str::to_owned).collect();
+    let models = (0..).map(model_path).take_while(|model| workspace.root().join(model).is_dir());
+    names.extend(models.flat_map(|model| model_names(Some(&model))));
+    names.insert(POINTS.to_owned());
+    names.extend(workspace.folder.names().filter(|name| is_rig_name(name)).map(str::to_owned));
+    // Also foreign files, which are then rejected before mapping.
+    names.extend(rigs_in(workspace.root()));
+    names.retain(|name| std::fs::symlink_metadata(workspace.root().join(name)).is_ok());
+    names.into_iter().collect()
+}
+
+/// Stages all models, their rig extrinsics, and the cloud of the largest. Returns the file names.
+///
+/// # Errors
+///
+/// A file cannot be written.
+fn stage_models(workspace: &Workspace, models: &[MappedModel]) -> Result<Vec<String>, Error> {
+    let mut names = Vec::new();
+    let Some(largest) = models.first() else { return Ok(names) };
+    ply::write(&workspace.folder.stage(POINTS)?, &ply::points(&largest.reconstruction))?;
+    names.push(POINTS.to_owned());
+    for (index, MappedModel { reconstruction, rig, .. }) in models.iter().enumerate() {
+        if let Some(rig) = rig.as_ref().and_then(|rig| RigFile::new(reconstruction, rig)) {
+            let name = rig_name(index);
+            workspace.folder.stage_bytes(&name, &rig.to_json())?;
+            names.push(name);
+        }
+        names.extend(stage_model(
+            &workspace.folder,
+            Some(&model_path(index)),
+            reconstruction,
+            Format::Binary,
+        )?);
+    }
+    Ok(names)
+}
+
+#[cfg(test)]
+mod tests {
+    use tiepoint_sfm::geometry::nalgebra::{UnitQuaternion, Vector3};
+    use tiepoint_sfm::geometry::{CameraModelKind, Intrinsics, Rigid3};
+    use tiepoint_sfm::scene::{Camera, ImagePair};
+    use tiepoint_sfm::{CalibratedCamera, CalibratedRig, RigConstraint, RigPair, SensorPair};
+
+    use super::*;
+
+    /// A model of two cameras with this baseline and rig extrinsics.
+    fn model(baseline: f64, has_bad_pair: bool) -> MappedModel {
+        let mut model = Reconstruction::default();
+        let intrinsics = Intrinsics::centred(CameraModelKind::SimplePinhole, 500.0, 640, 480);
+        let camera = Camera { intrinsics, width: 640, height: 480, has_focal_prior: true };
+        let cam_from_rig =
+            Rigid3::new(UnitQuaternion::identity(), Vector3::new(-baseline, 0.0, 0.0));
+        let [left, right] = ["left", "right"].map(|folder| {
+            let camera = model.add_camera(camera);
+            model.add_image(Image::new(format!("{folder}/0.png"), camera, Vec::new()))
+        });
+        model.register(left, Rigid3::identity());
+        model.register(right, cam_from_rig);
+        let sensor_pair =
+            SensorPair::synchronised(model.image(left).camera, model.image(right).camera);
+        let constraint = RigConstraint::Soft { sigma_translation: 0.1, sigma_rotation_rad: 0.1 };
+        let camera = CalibratedCamera {
+            sensor_pair,
+            cam_from_rig,
+            covariance: None,
+            constraint,
+            num_referenced_images: 1,
+            statistics: None,
+        };
+        MappedModel {
+            initial_pair: ImagePair::new(left, right),
+            rig: Some(CalibratedRig {
+                constraint: Some(constraint),
+                cameras: vec![camera],
+                bad_pairs: if has_bad_pair {
+                    vec![RigPair { reference: left, other: right }]
+                } else {
+                    Vec::new()
+                },
+                split: None,
+                error_off_px: 1.0,
+                error_px: 1.0,
+            }),
+            reconstruction: model,
+            shutters: Vec::new(),
+            row_poses: BTreeMap::new(),
+            num_loop_pairs: 0,
+            failures: Vec::new(),
+        }
+    }
+
+    #[test]
+    fn each_model_has_its_own_rig_file() {
+        let dir = tempfile::tempdir().unwrap();
+        let root = dir.path().join("ws");
+        let mut workspace = Workspace::create(&root).unwrap();
+        let mut without = model(3.0, false);
+        without.rig = None;
+        let names =
+            stage_models(&workspace, &[model(1.0, false), without, model(2.0, true)]).unwrap();
+        workspace.publish(names, &[], |_| {}).unwrap();
+        let rig = |index| {
+            let path =
+                crate::workspace::model_location::ModelLocation::of(&root.join(model_path(index)))
+                    .rig();
+            path.is_file()
+                .then(|| RigFile::from_json(&path, &std::fs::read(&path).unwrap()).unwrap())
+        };
+        let centre = |rig: &RigFile| rig.cameras[0].centre_in_rig[0];
+        let [first, second, third] = [0, 1, 2].map(rig);
+        assert_eq!(centre(&first.clone().unwrap()), 1.0);
+        assert_eq!(first.unwrap().bad_pairs, [[""; 2]; 0]);
+        assert_eq!(second, None);
+        assert_eq!(centre(&third.clone().unwrap()), 2.0);
+        let pair = ["left/0.png", "right/0.png"].map(str::to_owned);
+        assert_eq!(third.unwrap().bad_pairs, [pair]);
+        // New models replace all files of the old ones.
+        let replaced = replaced_names(&workspace);
+        for name in ["rig.json", "rig-2.json", "sparse/2/images.bin"] {
+            assert!(replaced.iter().any(|other| other == name), "{name}: {replaced:?}");
+        }
+        // Also if the user has deleted a model, or if a foreign file has such a name.
+        std::fs::remove_dir_all(root.join("sparse/2")).unwrap();
+        std::fs::write(root.join("rig-7.json"), "mine").unwrap();
+        let replaced = replaced_names(&workspace);
+        assert!(
+            ["rig-2.json", "rig-7.json"]
+                .iter()
+                .all(|name| replaced.iter().any(|other| other == name))
+        );
+        assert!(workspace.folder.ensure_writable(replaced.iter().map(String::as_str)).is_err());
+    }
+}

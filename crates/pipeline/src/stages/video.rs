@@ -1,0 +1,360 @@
+//! Videos as input: selected frames are written into the workspace as photos with capture times.
+//!
+//! A recording has its start time in whole seconds at best. If the soundtracks of two recordings
+//! correlate, they give the offset between the starts ([`start_offset_s`]). The frames of the
+//! second one are selected at the times of the first one's, so that synchronous frames differ by at
+//! most half a frame interval.
+
+use std::fs;
+use std::num::NonZeroUsize;
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+use tiepoint_input::Error as InputError;
+use tiepoint_input::fingerprint::hash_file_ends;
+use tiepoint_input::images::{is_image, is_unread_image};
+use tiepoint_input::video::{
+    Candidate, FrameSelector, RATE_HZ, Recording, Reduction, STRETCH_S, Selected, Transfer,
+    VideoReader, is_stabilised, is_video, read_sound, recordings, start_offset_s,
+};
+use tiepoint_io::timestamps;
+use tiepoint_store::{Error as StoreError, OutputFolder};
+
+use crate::workspace::format::json;
+use crate::{Error, Event, Photos, Stage, Watch, Workspace, emit};
+
+const FRAMES: &str = "frames";
+const RECORD: &str = "videos.json";
+const TIMES: &str = "timestamps.csv";
+/// Digits of the frame number in the name of a frame.
+const FRAME_DIGITS: usize = 6;
+
+/// Source of the frames in a folder; the last file to be written there.
+#[derive(Debug, Serialize, Deserialize)]
+struct Record {
+    every: Option<NonZeroUsize>,
+    /// Name and fingerprint of each recording.
+    videos: Vec<(String, String)>,
+    /// What the report notes about them.
+    #[serde(default)]
+    notes: Vec<String>,
+}
+
+/// A workspace with its input photos.
+pub struct OpenedInput {
+    /// The locked workspace.
+    pub workspace: Workspace,
+    /// The input photos, or the selected frames of videos.
+    pub photos: Photos,
+    /// CSV file of the capture times of frames, with the header `image,seconds`; `None` for photos.
+    pub timestamps: Option<PathBuf>,
+}
+
+/// Opens or creates the workspace at `root` for `inputs`: folders of photos, or videos (files or
+/// folders of them). The sharpest of every `every` frames of a video is written into the workspace,
+/// and by default the sharpest of each tenth of a second, and more where the image moves fast.
+/// Existing frames of other videos, or with another `every`, are replaced if `redo` is the feature
+/// stage.
+///
+/// # Errors
+///
+/// The input mixes photos and videos, cannot be read or has fewer than two photos; two videos have
+/// the same name; existing frames differ and are not to be redone; the workspace cannot be opened
+/// or written; `watch` returns `Break`.
+pub fn open_input(
+    inputs: &[PathBuf],
+    masks: Option<&Path>,
+    root: &Path,
+    every: Option<NonZeroUsize>,
+    redo: Option<Stage>,
+    watch: Watch,
+) -> Result<OpenedInput, Error> {
+    let files = videos(inputs)?;
+    if files.is_empty() {
+        // In this order: no workspace is created for an invalid input.
+        let photos = Photos::open(inputs, masks)?;
+        return Ok(OpenedInput { photos, workspace: Workspace::create(root)?, timestamps: None });
+    }
+    let recordings = with_unique_names(recordings(&files))?;
+    let videos = recordings
+        .iter()
+        .map(|recording| Ok((recording.name.clone(), hash_file_ends(&recording.chapters)?)));
+    let videos = videos.collect::<Result<Vec<_>, Error>>()?;
+    let workspace = Workspace::create(root)?;
+    let folder = workspace.root().join(FRAMES);
+    let (mut frames, before) = open_frames(&folder)?;
+    let times = folder.join(TIMES);
+    let kept = before.as_ref().filter(|before| (before.every, &before.videos) == (every, &videos));
+    let notes = if let Some(kept) = kept {
+        kept.notes.clone()
+    } else {
+        if before.is_some() && redo != Some(Stage::Features) {
+            return Err(Error::OtherFrames { path: folder });
+        }
+        let earlier: Vec<String> = frames.names().map(str::to_owned).collect();
+        frames.protect(
+            recordings.iter().flat_map(|recording| &recording.chapters).map(PathBuf::as_path),
+        );
+        frames.ensure_writable(earlier.iter().map(String::as_str))?;
+        let (mut names, notes) = extract(&recordings, &frames, every, watch)?;
+        let record = Record { every, videos, notes: notes.clone() };
+        frames.stage_bytes(RECORD, &json(&record))?;
+        names.push(RECORD.to_owned());
+        let removed: Vec<String> =
+            earlier.into_iter().filter(|name| !names.contains(name)).collect();
+        frames.publish(&names, &removed)?;
+        notes
+    };
+    drop(frames);
+    let mut photos = Photos::open(&[folder], masks)?;
+    photos.notes.splice(0..0, notes);
+    Ok(OpenedInput { workspace, photos, timestamps: Some(times) })
+}
+
+/// Opens the folder of the frames, and reads the source of the frames if they are complete.
+///
+/// # Errors
+///
+/// The folder is foreign or cannot be read or written.
+fn open_frames(folder: &Path) -> Result<(OutputFolder, Option<Record>), Error> {
+    let read = || {
+        let text = fs::read(folder.join(RECORD)).ok()?;
+        serde_json::from_slice::<Record>(&text).ok()
+    };
+    if OutputFolder::is_ours(folder) || !folder.exists() {
+        return Ok((OutputFolder::open(folder)?, read()));
+    }
+    let entries = fs::read_dir(folder);
+    let entries = entries.map_err(Error::unreadable(folder));
+    match entries?.next() {
+        None => Ok((OutputFolder::open(folder)?, None)),
+        Some(_) => Err(StoreError::ForeignFile { path: folder.to_owned() }.into()),
+    }
+}
+
+/// The video files among the inputs and in input folders without images of any format; empty for
+/// photos.
+///
+/// # Errors
+///
+/// A folder cannot be read, or the input mixes photos and videos.
+fn videos(inputs: &[PathBuf]) -> Result<Vec<PathBuf>, Error> {
+    let mut files = Vec::new();
+    for input in inputs {
+        if input.is_dir() {
+            let entries = fs::read_dir(input).and_then(Iterator::collect::<Result<Vec<_>, _>>);
+            let entries = entries.map_err(Error::unreadable(&input))?;
+            let mut here: Vec<PathBuf> = entries.into_iter().map(|entry| entry.path()).collect();
+            here.sort();
+            // Photos that are not read are named beside the photos, not passed over for videos.
+            if !here.iter().any(|path| is_image(path) || is_unread_image(path)) {
+                files.extend(here.into_iter().filter(|path| path.is_file() && is_video(path)));
+            }
+        } else if is_video(input) {
+            files.push(input.clone());
+        }
+    }
+    let of_photos = inputs.iter().find(|input| !files.iter().any(|file| file.starts_with(input)));
+    match of_photos {
+        Some(photos) if !files.is_empty() => {
+            Err(InputError::MixedInput { photos: photos.clone(), video: files.swap_remove(0) }
+                .into())
+        }
+        _ => Ok(files),
+    }
+}
+
+/// Prefixes the names of recordings with their folders where two have the same name.
+///
+/// # Errors
+///
+/// Two recordings still have the same name.
+fn with_unique_names(mut recordings: Vec<Recording>) -> Result<Vec<Recording>, Error> {
+    let names: Vec<String> = recordings.iter().map(|recording| recording.name.clone()).collect();
+    for recording in &mut recordings {
+        if names.iter().filter(|name| **name == recording.name).count() > 1 {
+            let folder = recording.chapters.first().and_then(|file| file.parent()?.file_name());
+            let folder =
+                folder.map_or_else(String::new, |folder| folder.to_string_lossy().into_owned());
+            recording.name = format!("{folder}-{}", recording.name);
+        }
+    }
+    for (index, recording) in recordings.iter().enumerate() {
+        if recordings[..index].iter().any(|other| other.name == recording.name) {
+            return Err(InputError::TwoVideosOfOneName { name: recording.name.clone() }.into());
+        }
+    }
+    Ok(recordings)
+}
+
+/// Stages the selected frames of all recordings and their capture times. Returns the file names,
+/// and what is to be noted.
+fn extract(
+    recordings: &[Recording],
+    frames: &OutputFolder,
+    every: Option<NonZeroUsize>,
+    watch: Watch,
+) -> Result<(Vec<String>, Vec<String>), Error> {
+    // Names and capture times of the selected frames.
+    let mut selected: Vec<(String, f64)> = Vec::new();
+    let mut notes = Vec::new();
+    let start_offsets_s = start_offsets_s(recordings, watch)?;
+    // Whether the first recording tells when it began, and when that was.
+    let (mut is_dated, mut first_start_s) = (true, None);
+    // Times of the frames that were selected for no other recording.
+    let mut target_times_s: Vec<f64> = Vec::new();
+    for (recording, start_offset_s) in recordings.iter().zip(start_offsets_s) {
+        let is_moving = recording.chapters.first().map(|file| is_stabilised(file)).transpose()?;
+        if is_moving.flatten() == Some(true) {
+            emit(watch, &Event::Stabilised { recording: &recording.name })?;
+        }
+        let mut selector = FrameSelector::new(every, target_times_s.clone());
+        let start_by_audio_s = start_offset_s.and_then(|offset_s| Some(first_start_s? + offset_s));
+        let (mut read, mut start_s, mut chapter_offset_s, mut last_s, mut interval_s) =
+            (0, start_by_audio_s, 0.0, 0.0, 0.0);
+        let mut reduction = Reduction::None;
+        let selected_before = selected.len();
+        let mut keep = |chosen: Selected, watch: Watch, read: usize| -> Result<(), Error> {
+            let Selected { frame, is_target } = chosen;
+            let name = format!("{}/{:0FRAME_DIGITS$}.jpg", recording.name, frame.index);
+            frame.image.write(&frames.stage(&name)?)?;
+            emit(watch, &Event::FrameSelected { image: &name, read })?;
+            selected.push((name, frame.time_s));
+            if !is_target {
+                target_times_s.push(frame.time_s);
+            }
+            Ok(())
+        };
+        for chapter in &recording.chapters {
+            let mut reader = VideoReader::open(chapter)?;
+            while let Some(frame) = reader.next_frame()? {
+                let start_s = *start_s.get_or_insert_with(|| {
+                    // Times by one clock only: a recording without a date began with the first one.
+                    let own_s = reader.created_s().filter(|_| is_dated);
+                    own_s.or(first_start_s).unwrap_or(0.0)
+                });
+                if first_start_s.is_none() {
+                    is_dated = reader.created_s().is_some();
+                    first_start_s = Some(start_s);
+                }
+                let time_s = start_s + chapter_offset_s + frame.time_s;
+                if read > 0 {
+                    interval_s = time_s - last_s;
+                }
+                last_s = time_s;
+                for chosen in selector.add(Candidate::new(read, time_s, frame.image)) {
+                    keep(chosen, watch, read)?;
+                }
+                read += 1;
+            }
+            reduction = reader.reduction();
+            // A chapter starts one frame interval after the last frame of the previous one.
+            chapter_offset_s = last_s + interval_s - start_s.unwrap_or(0.0);
+        }
+        if let Some(chosen) = selector.end() {
+            keep(chosen, watch, read)?;
+        }
+        notes.push(taken_note(&recording.name, selected.len() - selected_before, read, every));
+        notes.extend(reduction_note(&recording.name, reduction));
+    }
+    selected.sort_by(|a, b| a.0.cmp(&b.0));
+    timestamps::write(
+        &frames.stage(TIMES)?,
+        selected.iter().map(|(name, time_s)| (name.as_str(), *time_s)),
+    )?;
+    let names = selected.into_iter().map(|(name, _)| name).chain([TIMES.to_owned()]).collect();
+    Ok((names, notes))
+}
+
+/// How many frames of a recording are taken, and how to take more.
+fn taken_note(recording: &str, taken: usize, read: usize, every: Option<NonZeroUsize>) -> String {
+    let (rule, more) = match every {
+        None => (
+            format!("one in {STRETCH_S} s, more where the image moves fast, none where it stands"),
+            "--every 1 takes all that move",
+        ),
+        Some(NonZeroUsize::MIN) => return format!("{recording}: {taken} of {read} frames taken"),
+        Some(every) => {
+            (format!("one of {every}, none where the image stands"), "a smaller --every takes more")
+        }
+    };
+    match taken < read {
+        true => format!("{recording}: {taken} of {read} frames taken ({rule}); {more}"),
+        false => format!("{recording}: all {read} frames taken"),
+    }
+}
+
+/// How the frames of a recording became eight bits a channel, if they had not been that.
+fn reduction_note(recording: &str, reduction: Reduction) -> Option<String> {
+    let how = match reduction {
+        Reduction::None => return None,
+        Reduction::Scaled => "more than 8 bits a channel were scaled to 8",
+        Reduction::ToneMapped(Transfer::Hlg) => {
+            "high dynamic range (HLG) was tone-mapped to 8 bits a channel"
+        }
+        Reduction::ToneMapped(Transfer::Pq) => {
+            "high dynamic range (PQ) was tone-mapped to 8 bits a channel"
+        }
+    };
+    Some(format!("{recording}: {how}"))
+}
+
+/// Start of each recording minus start of the first one, in seconds, if the soundtracks correlate.
+fn start_offsets_s(recordings: &[Recording], watch: Watch) -> Result<Vec<Option<f64>>, Error> {
+    let mut offsets_s = vec![None; recordings.len()];
+    let Some((first, others)) = recordings.split_first().filter(|(_, others)| !others.is_empty())
+    else {
+        return Ok(offsets_s);
+    };
+    let sound = |recording: &Recording| -> Result<Vec<i16>, Error> {
+        let chapters = recording.chapters.iter().map(|chapter| read_sound(chapter, RATE_HZ));
+        Ok(chapters.collect::<Result<Vec<_>, _>>()?.concat())
+    };
+    let of_first = sound(first)?;
+    for (other, offset_s) in others.iter().zip(&mut offsets_s[1..]) {
+        *offset_s = start_offset_s(&of_first, &sound(other)?);
+        if let Some(after_s) = *offset_s {
+            let (reference, recording) = (first.name.as_str(), other.name.as_str());
+            emit(watch, &Event::AudioOffset { reference, recording, after_s })?;
+        }
+    }
+    Ok(offsets_s)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn mixed_input_is_rejected_and_recordings_get_unique_names() {
+        let dir = tempfile::tempdir().unwrap();
+        for folder in ["photos", "left", "right"] {
+            fs::create_dir(dir.path().join(folder)).unwrap();
+        }
+        let path = |name: &str| dir.path().join(name);
+        for name in ["photos/1.jpg", "left/GX010042.MP4", "left/GX020042.MP4", "right/GX010042.MP4"]
+        {
+            fs::write(path(name), "").unwrap();
+        }
+        assert_eq!(videos(&[path("photos")]).unwrap(), Vec::<PathBuf>::new());
+        // A telephone's photos with a short video each.
+        fs::create_dir(path("live")).unwrap();
+        for name in ["live/1.HEIC", "live/1.MOV"] {
+            fs::write(path(name), "").unwrap();
+        }
+        assert_eq!(videos(&[path("live")]).unwrap(), Vec::<PathBuf>::new());
+        assert!(matches!(
+            videos(&[path("photos"), path("left")]),
+            Err(Error::Input(InputError::MixedInput { .. }))
+        ));
+        let files = videos(&[path("left"), path("right/GX010042.MP4")]).unwrap();
+        assert_eq!(files.len(), 3);
+        let named = with_unique_names(recordings(&files)).unwrap();
+        let names: Vec<&str> = named.iter().map(|recording| recording.name.as_str()).collect();
+        assert_eq!(names, ["left-GX010042", "right-GX010042"]);
+        assert!(matches!(
+            with_unique_names(recordings(&[path("left/a.mp4"), path("left/a.mov")])),
+            Err(Error::Input(InputError::TwoVideosOfOneName { .. }))
+        ));
+    }
+}

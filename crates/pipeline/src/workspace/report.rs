@@ -1,0 +1,261 @@
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+use tiepoint_sfm::RollingShutter;
+use tiepoint_sfm::scene::{Camera, CameraId, Reconstruction};
+use tiepoint_store::{Error as StoreError, require_regular_file};
+
+use crate::workspace::file_names::DENSE_CLOUD;
+use crate::{Error, RigReport, SkippedImage, Stage};
+
+/// `report.json`: the results of all stages.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(expecting = "an object")]
+pub struct Report {
+    /// Version of this program.
+    pub version: String,
+    /// Summaries of the stages.
+    pub stages: StageReports,
+    /// The models, the largest first.
+    pub models: Vec<ModelReport>,
+}
+
+/// Summaries of the stages; `None` before a stage is complete.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(expecting = "an object")]
+pub struct StageReports {
+    /// Stage 1.
+    pub features: Option<FeaturesReport>,
+    /// Stage 2. The key of the file is `match`.
+    #[serde(rename = "match")]
+    pub matches: Option<MatchReport>,
+    /// Stage 3.
+    pub map: Option<MapReport>,
+    /// Stage 4.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub dense: Option<DenseReport>,
+}
+
+/// Summary of feature extraction.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(expecting = "an object")]
+pub struct FeaturesReport {
+    /// Wall time of the run that completed the stage.
+    pub seconds: f64,
+    /// Number of images with features.
+    pub images: usize,
+    /// Number of keypoints of all images.
+    pub keypoints: usize,
+    /// Images that were skipped.
+    pub skipped: Vec<SkippedImage>,
+    /// What was noted about the input, a sentence each.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub notes: Vec<String>,
+    /// Initial cameras.
+    pub cameras: Vec<CameraReport>,
+}
+
+/// Summary of matching.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(expecting = "an object")]
+pub struct MatchReport {
+    /// Wall time of the run that completed the stage.
+    pub seconds: f64,
+    /// The time that this run expected before it began.
+    #[serde(default)]
+    pub expected_seconds: f64,
+    /// The selection of pairs in the words of the command line; for `auto` what it chose.
+    #[serde(default)]
+    pub selection: String,
+    /// Number of image pairs that were matched.
+    pub pairs: usize,
+    /// Number of pairs with a verified two-view geometry.
+    pub verified_pairs: usize,
+    /// Number of descriptor matches.
+    pub matches: usize,
+    /// Number of inlier matches of verified pairs.
+    pub inlier_matches: usize,
+}
+
+/// Summary of mapping.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(expecting = "an object")]
+pub struct MapReport {
+    /// Wall time.
+    pub seconds: f64,
+    /// What was noted about the photos, a sentence each.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub notes: Vec<String>,
+}
+
+/// Summary of dense reconstruction.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(expecting = "an object")]
+pub struct DenseReport {
+    /// Wall time of the run that completed the stage.
+    pub seconds: f64,
+    /// Number of images with a depth map.
+    pub depth_maps: usize,
+    /// Registered images without a depth map, since they share no points with another image.
+    pub without_depth_map: Vec<String>,
+    /// Number of pixels of all depth maps, in millions.
+    pub megapixels: f64,
+    /// Number of points of the cloud.
+    pub points: u64,
+}
+
+/// A model.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(expecting = "an object")]
+pub struct ModelReport {
+    /// Its folder, relative to the workspace.
+    pub path: String,
+    /// Number of registered images.
+    pub registered: usize,
+    /// Number of images with features.
+    pub images: usize,
+    /// Names of the unregistered images.
+    pub unregistered: Vec<String>,
+    /// Number of points.
+    pub points: usize,
+    /// Number of observations.
+    pub observations: usize,
+    /// Mean number of observations per point.
+    pub mean_track_length: f64,
+    /// Mean over the points of the mean reprojection error of their observations, in pixels, as in
+    /// COLMAP.
+    pub mean_reprojection_error_px: f64,
+    /// Cameras with a registered image.
+    pub cameras: Vec<CameraReport>,
+    /// The rig, if there are cameras with synchronous images.
+    pub rig: Option<RigReport>,
+    /// Number of image pairs that drift had separated and that loop closure merged.
+    #[serde(default)]
+    pub loop_pairs: usize,
+    /// Optional stages that failed, as sentences; the model is that without them.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub failed: Vec<String>,
+    /// The metric scale, with `--baseline`.
+    pub scale: Option<ScaleReport>,
+}
+
+/// A camera.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(expecting = "an object")]
+pub struct CameraReport {
+    /// COLMAP's id.
+    pub id: u32,
+    /// COLMAP's name of the camera model.
+    pub model: String,
+    /// Image width, in pixels.
+    pub width: u32,
+    /// Image height, in pixels.
+    pub height: u32,
+    /// Parameters of the camera model, in COLMAP's order.
+    pub params: Vec<f64>,
+    /// With `--rolling-shutter`: readout time from the first row to the last, in seconds.
+    #[serde(default)]
+    pub readout_s: Option<f64>,
+    /// Its standard deviation, if it was estimated and is observable.
+    #[serde(default)]
+    pub readout_sd_s: Option<f64>,
+}
+
+impl CameraReport {
+    pub(crate) fn new(id: CameraId, camera: &Camera, shutter: Option<&RollingShutter>) -> Self {
+        let (model, params) =
+            (camera.intrinsics.kind().name().to_owned(), camera.intrinsics.params().to_vec());
+        let readout_s = shutter.map(|shutter| shutter.readout_s);
+        let readout_sd_s =
+            shutter.and_then(|shutter| shutter.readout_sd_s).filter(|sd_s| sd_s.is_finite());
+        let (width, height) = (camera.width, camera.height);
+        Self { id: id.0 + 1, model, width, height, params, readout_s, readout_sd_s }
+    }
+}
+
+impl ModelReport {
+    /// The report on a model and the shutters of its cameras, without rig and scale.
+    pub(crate) fn new(path: String, model: &Reconstruction, shutters: &[RollingShutter]) -> Self {
+        // Images without keypoints could not be read.
+        let images = || model.images().filter(|(_, image)| !image.keypoints.is_empty());
+        let unregistered = images().filter(|(_, image)| image.cam_from_world().is_none());
+        let is_used = |id: &CameraId| model.registered().any(|(_, image, _)| image.camera == *id);
+        Self {
+            path,
+            registered: model.num_registered(),
+            images: images().count(),
+            unregistered: unregistered.map(|(_, image)| image.name.clone()).collect(),
+            points: model.num_tracks(),
+            observations: model.num_observations(),
+            mean_track_length: model.mean_track_length(),
+            mean_reprojection_error_px: model.mean_reprojection_error_px(),
+            cameras: model
+                .cameras()
+                .filter(|(id, _)| is_used(id))
+                .map(|(id, c)| {
+                    CameraReport::new(id, c, shutters.iter().find(|shutter| shutter.camera == id))
+                })
+                .collect(),
+            rig: None,
+            loop_pairs: 0,
+            failed: Vec::new(),
+            scale: None,
+        }
+    }
+}
+
+impl Report {
+    /// The file of the dense cloud of the current model. That of an earlier model stays on disk,
+    /// and the report has none; files of the stage may have been deleted.
+    pub(crate) fn dense_cloud(&self, workspace: &Path) -> Option<PathBuf> {
+        let path = workspace.join(DENSE_CLOUD);
+        (self.stages.dense.is_some() && path.is_file()).then_some(path)
+    }
+
+    /// Reads `report.json`; an empty report if the file does not exist.
+    ///
+    /// # Errors
+    ///
+    /// The file cannot be read or is damaged.
+    pub(crate) fn read(path: &Path) -> Result<Self, Error> {
+        require_regular_file(path)?;
+        match std::fs::read(path) {
+            Err(cause) if cause.kind() == std::io::ErrorKind::NotFound => {
+                Ok(Self { version: env!("CARGO_PKG_VERSION").to_owned(), ..Self::default() })
+            }
+            Err(cause) => Err(StoreError::Unreadable { path: path.to_owned(), cause }.into()),
+            Ok(text) => serde_json::from_slice(&text)
+                .map_err(|error| Error::Broken { path: path.to_owned(), what: error.to_string() }),
+        }
+    }
+
+    /// Removes the parts on stages that are not complete.
+    pub(crate) fn keep_only(&mut self, is_complete: impl Fn(Stage) -> bool) {
+        let Self { stages, models, .. } = self;
+        if !is_complete(Stage::Features) {
+            stages.features = None;
+        }
+        if !is_complete(Stage::Match) {
+            stages.matches = None;
+        }
+        if !is_complete(Stage::Map) {
+            stages.map = None;
+            models.clear();
+        }
+        if !is_complete(Stage::Dense) {
+            stages.dense = None;
+        }
+    }
+}
+
+/// The metric scale of a model.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(expecting = "an object")]
+pub struct ScaleReport {
+    /// The given distance of the first two cameras, in metres.
+    pub baseline_m: f64,
+    /// Metres per unit of the model before scaling. `None` if the model was not scaled.
+    pub factor: Option<f64>,
+    /// The source of the factor, or why there is none, in one sentence.
+    pub why: String,
+}

@@ -1,0 +1,272 @@
+//! `rig.json`: the estimated rig extrinsics and time offsets with their covariance.
+
+use std::cmp::Ordering;
+use std::collections::BTreeSet;
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+use tiepoint_sfm::geometry::Rigid3;
+use tiepoint_sfm::geometry::nalgebra::{Quaternion, UnitQuaternion, Vector3};
+use tiepoint_sfm::scene::Reconstruction;
+use tiepoint_sfm::{CalibratedCamera, CalibratedRig, ClockState, RigConstraint};
+
+use crate::Error;
+use crate::workspace::format;
+use crate::workspace::image_names::folder_of;
+
+/// Largest accepted deviation of a quaternion's norm from 1: three digits are precise to less.
+const UNIT_TOLERANCE: f64 = 1e-2;
+
+/// The rig of a model. The rig frame is the frame of the reference camera, which is the first.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(expecting = "an object with the keys of rig.json")]
+pub struct RigFile {
+    /// Folder of the reference camera.
+    pub reference: String,
+    /// The other cameras.
+    pub cameras: Vec<RigCamera>,
+    /// Image pairs of one frame, reference camera first, whose relative pose contradicts the
+    /// extrinsics, both in the model and by their own matches. The key is absent if there are none.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub bad_pairs: Vec<[String; 2]>,
+}
+
+/// A non-reference camera of a rig.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(expecting = "an object that describes a camera")]
+pub struct RigCamera {
+    /// Its folder.
+    pub name: String,
+    /// Rotation of `cam_from_rig`: a Hamilton quaternion, w first.
+    pub rotation_wxyz: [f64; 4],
+    /// Translation of `cam_from_rig`, in units of the model.
+    pub translation: [f64; 3],
+    /// Its centre in the rig, in units of the model.
+    pub centre_in_rig: [f64; 3],
+    /// Its constraint to the extrinsics.
+    pub constraint: ConstraintKind,
+    /// Its clock relative to the reference camera's.
+    pub clock: RigClock,
+    /// Joint covariance, 8 x 8, of rotation (radians, R ← Exp(δ) R), translation (units of the
+    /// model), offset (seconds) and skew, in this order. Rows of fixed parameters are zero; `None`
+    /// where the images do not determine it. It is conditional on the scale of the model.
+    pub covariance: Option<Vec<Vec<f64>>>,
+    /// Largest standard deviation of the rotation about any axis, in degrees.
+    pub rotation_sd_deg: Option<f64>,
+    /// Largest standard deviation of the translation in any direction, in units of the model.
+    pub translation_sd: Option<f64>,
+    /// For cameras without common points: a unit vector in the rig frame along which the motion
+    /// does not determine the position of the camera, such as the vertical on a flat road. The
+    /// coordinate along it is set to zero.
+    #[serde(default)]
+    pub unobservable: Option<[f64; 3]>,
+}
+
+/// Constraint of a camera to its extrinsics.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum ConstraintKind {
+    /// The relative poses of the frames agree with the extrinsics up to standard deviations.
+    #[default]
+    Soft,
+    /// The poses of the frames satisfy the extrinsics exactly.
+    Rigid,
+}
+
+impl From<RigConstraint> for ConstraintKind {
+    fn from(constraint: RigConstraint) -> Self {
+        match constraint {
+            RigConstraint::Soft { .. } => Self::Soft,
+            RigConstraint::Rigid => Self::Rigid,
+        }
+    }
+}
+
+/// State of a camera's time offset to the reference camera.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum RigClockState {
+    /// The cameras are triggered together, which fixes the offset.
+    #[default]
+    Synchronised,
+    /// Offset and skew are estimated.
+    Estimated,
+    /// The images do not determine the offset. That of the time stamps is used.
+    Unobservable,
+}
+
+impl From<ClockState> for RigClockState {
+    fn from(state: ClockState) -> Self {
+        match state {
+            ClockState::Synchronised => Self::Synchronised,
+            ClockState::Estimated => Self::Estimated,
+            ClockState::Unobservable => Self::Unobservable,
+        }
+    }
+}
+
+/// Time of the reference camera = time + offset + drift (time − pivot).
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(expecting = "an object that describes a camera's clock")]
+pub struct RigClock {
+    /// Whether the offset was estimated.
+    pub state: RigClockState,
+    /// Time offset at the pivot, in seconds.
+    pub offset_s: f64,
+    /// Its standard deviation, if it was estimated.
+    pub offset_sd_s: Option<f64>,
+    /// Clock skew, in parts per million.
+    pub drift_ppm: f64,
+    /// Its standard deviation, if it was estimated.
+    pub drift_sd_ppm: Option<f64>,
+    /// Mid-time of this camera's images, on its own clock, in seconds.
+    pub pivot_s: f64,
+}
+
+impl RigFile {
+    /// Parses the content of the file at `path`.
+    ///
+    /// # Errors
+    ///
+    /// The content is not JSON of this form or has another format, or a rotation is not a unit
+    /// quaternion.
+    pub(crate) fn from_json(path: &Path, text: &[u8]) -> Result<Self, Error> {
+        let broken = |what: String| Error::Broken { path: path.to_owned(), what };
+        let file: Self = format::from_json(path, text, broken)?;
+        let mut names = BTreeSet::from([file.reference.as_str()]);
+        for RigCamera { name, rotation_wxyz, .. } in &file.cameras {
+            if !names.insert(name) {
+                return Err(broken(format!("the camera {name} is there twice")));
+            }
+            let norm = rotation_wxyz.iter().map(|value| value * value).sum::<f64>().sqrt();
+            if (norm - 1.0).abs().partial_cmp(&UNIT_TOLERANCE) != Some(Ordering::Less) {
+                return Err(broken(format!(
+                    "the rotation of camera {name} has norm {norm} and not 1"
+                )));
+            }
+        }
+        Ok(file)
+    }
+
+    /// The content of the file.
+    pub(crate) fn to_json(&self) -> Vec<u8> {
+        format::to_json(self)
+    }
+
+    /// The extrinsics of a model's rig; `None` if none were estimated.
+    pub(crate) fn new(model: &Reconstruction, rig: &CalibratedRig) -> Option<Self> {
+        let reference = folder_of(model, rig.cameras.first()?.sensor_pair.reference);
+        let name = |image| model.image(image).name.clone();
+        Some(Self {
+            reference,
+            cameras: rig.cameras.iter().map(|camera| RigCamera::new(model, camera)).collect(),
+            bad_pairs: rig
+                .bad_pairs
+                .iter()
+                .map(|pair| [name(pair.reference), name(pair.other)])
+                .collect(),
+        })
+    }
+}
+
+impl RigCamera {
+    /// Its pose relative to the reference camera.
+    pub(crate) fn cam_from_rig(&self) -> Rigid3 {
+        let [w, x, y, z] = self.rotation_wxyz;
+        let rotation = UnitQuaternion::new_normalize(Quaternion::new(w, x, y, z));
+        Rigid3::new(rotation, Vector3::from(self.translation))
+    }
+
+    fn new(model: &Reconstruction, camera: &CalibratedCamera) -> Self {
+        let (pose, clock) = (&camera.cam_from_rig, &camera.sensor_pair.clock);
+        let q = &pose.rotation;
+        let sd =
+            |index: usize| camera.covariance.map(|covariance| covariance[(index, index)].sqrt());
+        let largest_sd = |first: usize| {
+            let block = camera.covariance?.fixed_view::<3, 3>(first, first).into_owned();
+            Some(block.symmetric_eigenvalues().max().max(0.0).sqrt())
+        };
+        let is_estimated = camera.sensor_pair.clock_state == ClockState::Estimated;
+        Self {
+            name: folder_of(model, camera.sensor_pair.other),
+            rotation_wxyz: [q.w, q.i, q.j, q.k],
+            translation: pose.translation.into(),
+            centre_in_rig: pose.origin_in_a().into(),
+            constraint: camera.constraint.into(),
+            clock: RigClock {
+                state: camera.sensor_pair.clock_state.into(),
+                offset_s: clock.offset_s,
+                offset_sd_s: sd(6).filter(|_| is_estimated),
+                drift_ppm: 1e6 * clock.drift,
+                drift_sd_ppm: sd(7).filter(|_| is_estimated).map(|sd| 1e6 * sd),
+                pivot_s: clock.pivot_s,
+            },
+            covariance: camera.covariance.map(|covariance| {
+                covariance.row_iter().map(|row| row.iter().copied().collect()).collect()
+            }),
+            rotation_sd_deg: largest_sd(0).map(f64::to_degrees),
+            translation_sd: largest_sd(3),
+            unobservable: camera.sensor_pair.unobservable_direction.map(Into::into),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_camera_that_is_there_twice_is_refused() {
+        let read = |names: &[&str]| {
+            let rotation_wxyz = [1.0, 0.0, 0.0, 0.0];
+            let camera = |name: &&str| RigCamera {
+                name: (*name).to_owned(),
+                rotation_wxyz,
+                ..RigCamera::default()
+            };
+            let cameras = names.iter().map(camera).collect();
+            let file = RigFile { reference: "left".to_owned(), cameras, bad_pairs: Vec::new() };
+            RigFile::from_json(Path::new("ws/rig.json"), &file.to_json())
+        };
+        assert!(read(&["right", "rear"]).is_ok());
+        for (names, twice) in [(["right", "left"], "left"), (["right", "right"], "right")] {
+            let error = read(&names).unwrap_err().to_string();
+            let expected = format!("ws/rig.json: the camera {twice} is there twice");
+            assert!(error.contains(&expected), "{error}");
+        }
+    }
+
+    #[test]
+    fn a_value_of_another_kind_is_named_without_a_type_of_the_code() {
+        let text = br#"{ "format": 1, "reference": "left", "cameras": ["right"] }"#;
+        let error = RigFile::from_json(Path::new("ws/rig.json"), text).unwrap_err().to_string();
+        assert!(error.contains("expected an object that describes a camera"), "{error}");
+        assert!(!error.contains("RigCamera"), "{error}");
+    }
+
+    #[test]
+    fn rotation_that_is_not_a_unit_quaternion_is_rejected() {
+        let read = |rotation_wxyz| {
+            let camera =
+                RigCamera { name: "right".to_owned(), rotation_wxyz, ..RigCamera::default() };
+            let file = RigFile {
+                reference: "left".to_owned(),
+                cameras: vec![camera],
+                bad_pairs: Vec::new(),
+            };
+            RigFile::from_json(Path::new("ws/rig.json"), &file.to_json())
+        };
+        assert!(read([0.5, -0.5, 0.5, 0.5]).is_ok() && read([0.0, 0.707, 0.0, 0.707]).is_ok());
+        for none in
+            [[0.0; 4], [1e-9, 0.0, 0.0, 0.0], [1e200, 0.0, 0.0, 1e200], [2.0, 0.0, 0.0, 0.0]]
+        {
+            let error = read(none).unwrap_err().to_string();
+            assert!(
+                error.contains("ws/rig.json: the rotation of camera right has norm"),
+                "{error}"
+            );
+        }
+        // serde_json writes NaN as null, and rejects null when it reads a number.
+        assert!(read([f64::NAN; 4]).is_err());
+    }
+}
