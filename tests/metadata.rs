@@ -21,6 +21,7 @@ const CATEGORIES: &[&str] = &[
     "rendering",
     "science::robotics",
     "simulation",
+    "visualization",
 ];
 const MAX_KEYWORDS: usize = 5;
 const MAX_KEYWORD_LETTERS: usize = 20;

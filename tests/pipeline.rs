@@ -8,11 +8,11 @@ use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
 use image::imageops::FilterType;
+use tiepoint_pipeline::evaluation::{Truth, evaluate_poses};
+use tiepoint_pipeline::input::{Calibration, Photos};
 use tiepoint_pipeline::sfm::geometry::{CameraModelKind, Intrinsics};
-use tiepoint_pipeline::{
-    Calibration, Error, Event, FeatureOptions, Options, Photos, Report, Stage, Truth, Workspace,
-    evaluate_poses, extract_features, reconstruct,
-};
+use tiepoint_pipeline::stages::{FeatureOptions, extract_features};
+use tiepoint_pipeline::{Error, Event, Options, Report, Stage, Workspace, reconstruct};
 
 use crate::skipped;
 

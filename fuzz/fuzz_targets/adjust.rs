@@ -6,7 +6,7 @@ use libfuzzer_sys::fuzz_target;
 use std::ops::ControlFlow;
 
 use tiepoint_fuzz::{file, files, folder};
-use tiepoint_pipeline::adjust;
+use tiepoint_pipeline::models::adjust;
 
 fuzz_target!(|data: &[u8]| {
     let Some((&which, data)) = data.split_first() else { return };

@@ -4,7 +4,7 @@
 use libfuzzer_sys::fuzz_target;
 
 use tiepoint_fuzz::{TIMES, folder, write, write_model};
-use tiepoint_pipeline::{ExportFormat, export, export_rigid};
+use tiepoint_pipeline::models::{ExportFormat, export, export_rigid};
 
 fuzz_target!(|data: &[u8]| {
     let dir = folder();

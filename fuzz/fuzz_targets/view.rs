@@ -4,7 +4,7 @@
 use libfuzzer_sys::fuzz_target;
 
 use tiepoint_fuzz::{files, folder};
-use tiepoint_pipeline::view;
+use tiepoint_report::view;
 
 fuzz_target!(|data: &[u8]| {
     let dir = folder();

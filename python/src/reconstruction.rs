@@ -11,7 +11,7 @@ use pyo3::types::PyDict;
 use tiepoint_geometry::nalgebra::{Matrix3, Matrix4, UnitQuaternion, Vector3};
 use tiepoint_geometry::{Rigid3, Sim3};
 use tiepoint_io::colmap::{Format, read_model};
-use tiepoint_pipeline::rolling_shutters;
+use tiepoint_pipeline::models::rolling_shutters;
 use tiepoint_scene::{CameraId, Image, ImageId, PointId};
 use tiepoint_sfm::{AdjustOptions, RefineIntrinsics, RollingShutter, Scope, adjust, row_poses};
 
@@ -67,7 +67,7 @@ impl Reconstruction {
     /// Reads the model of a workspace or a folder with a COLMAP model, binary or text.
     #[staticmethod]
     fn read(python: Python<'_>, path: PathBuf) -> PyResult<Self> {
-        let folder = tiepoint_pipeline::model_folder(&path).map_err(failed)?;
+        let folder = tiepoint_pipeline::workspace::model_folder(&path).map_err(failed)?;
         let read = || {
             let mut model = read_model(&folder)?;
             let shutters = rolling_shutters(&folder, &mut model);
@@ -84,7 +84,9 @@ impl Reconstruction {
             return Err(invalid("path is empty: give the folder of a model"));
         }
         let format = if text { Format::Text } else { Format::Binary };
-        python.detach(|| tiepoint_pipeline::write_model(&path, &self.model, format)).map_err(failed)
+        python
+            .detach(|| tiepoint_pipeline::workspace::write_model(&path, &self.model, format))
+            .map_err(failed)
     }
 
     /// The cameras, in the order of their ids.

@@ -8,14 +8,16 @@ use std::path::PathBuf;
 
 use clap::{ArgGroup, Args, Parser, Subcommand};
 use clap_complete::Shell;
+use tiepoint_pipeline::Stage;
 use tiepoint_pipeline::eval::Alignment;
-use tiepoint_pipeline::input::{ABSOLUTE_MAX_PIXELS, DEFAULT_MAX_PIXELS};
+use tiepoint_pipeline::evaluation::Truth;
+use tiepoint_pipeline::input::{
+    ABSOLUTE_MAX_PIXELS, Calibration, CalibrationSource, CameraGrouping, DEFAULT_MAX_PIXELS,
+};
+use tiepoint_pipeline::models::{ExportFormat, UndistortOptions};
 use tiepoint_pipeline::sfm::geometry::{CameraModelKind, Intrinsics};
 use tiepoint_pipeline::sfm::matching::PairSelection;
 use tiepoint_pipeline::sfm::{Readout, RigMode};
-use tiepoint_pipeline::{
-    Calibration, CalibrationSource, CameraGrouping, ExportFormat, Stage, Truth, UndistortOptions,
-};
 use tiepoint_synth::{Effects, RouteKind, ViewDirection};
 
 pub(crate) use values::{CropBox, ImageSize, Metres, Quantiles, Refine, threads};

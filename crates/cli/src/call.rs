@@ -1,21 +1,19 @@
 //! A command of the program, run in the process of a caller.
 
 use std::ffi::OsString;
-use std::fmt;
-use std::io;
 use std::sync::Arc;
 use std::sync::mpsc::{self, Receiver};
 use std::thread::{self, JoinHandle};
+use std::{fmt, io};
 
 use clap::Parser;
 
 use crate::args::Cli;
-use crate::commands;
 use crate::failure::Failure;
 use crate::interrupt::Interrupt;
 use crate::message::Message;
 use crate::output::{Output, one_sentence, shortened};
-use crate::signals;
+use crate::{commands, signals};
 
 /// Why a command failed.
 #[derive(Clone, Debug, PartialEq, Eq)]

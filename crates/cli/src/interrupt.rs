@@ -1,10 +1,9 @@
 //! Interruption by a signal, and which thread then exits the program.
 
-use std::io;
 use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
-use std::thread;
+use std::{io, thread};
 
 use indicatif::ProgressBar;
 use signal_hook::consts::{SIGINT, SIGTERM};

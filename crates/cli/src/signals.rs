@@ -1,11 +1,9 @@
 //! SIGINT and SIGTERM: a run stops at its next event, or after a grace period without one. In both
 //! cases a final message says how to resume.
 
-use std::io;
-use std::process;
 use std::sync::mpsc;
-use std::thread;
 use std::time::Duration;
+use std::{io, process, thread};
 
 use signal_hook::consts::{SIGINT, SIGTERM};
 use tiepoint_pipeline::Stage;

@@ -3,9 +3,13 @@
 use std::fmt::Write;
 use std::path::Path;
 
-use tiepoint_pipeline::{
-    CloudEvaluation, ConstraintKind, DenseReport, ErrorStatistics, ModelReport, PoseEvaluation,
-    RegisteredCloud, Report, RigCamera, RigClockState, RigidReport, SplitReport,
+use tiepoint_pipeline::Report;
+use tiepoint_pipeline::evaluation::{
+    CloudEvaluation, ErrorStatistics, PoseEvaluation, RegisteredCloud,
+};
+use tiepoint_pipeline::models::RigidReport;
+use tiepoint_pipeline::workspace::{
+    ConstraintKind, DenseReport, ModelReport, RigCamera, RigClockState, SplitReport,
 };
 
 use crate::output::printable;

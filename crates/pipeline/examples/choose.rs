@@ -14,7 +14,8 @@ use std::path::Path;
 use std::time::Instant;
 
 use tiepoint_io::database::Database;
-use tiepoint_pipeline::{Workspace, choose_pairs};
+use tiepoint_pipeline::Workspace;
+use tiepoint_pipeline::stages::choose_pairs;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();

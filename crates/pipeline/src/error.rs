@@ -507,7 +507,7 @@ impl Error {
     }
 
     /// Converts an error of the adjustment of the model at `path`.
-    pub(crate) fn adjusting(path: &Path) -> impl Fn(tiepoint_sfm::Error) -> Self {
+    pub fn adjusting(path: &Path) -> impl Fn(tiepoint_sfm::Error) -> Self {
         move |cause| match cause {
             tiepoint_sfm::Error::Cancelled => Self::Cancelled,
             cause => Self::Unadjustable { path: path.to_owned(), cause },

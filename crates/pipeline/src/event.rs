@@ -207,7 +207,7 @@ pub type Watch<'a> = &'a mut dyn FnMut(&Event) -> ControlFlow<()>;
 /// # Errors
 ///
 /// [`Error::Cancelled`] if the callback returns `Break`.
-pub(crate) fn emit(watch: Watch, event: &Event) -> Result<(), Error> {
+pub fn emit(watch: Watch, event: &Event) -> Result<(), Error> {
     match watch(event) {
         ControlFlow::Continue(()) => Ok(()),
         ControlFlow::Break(()) => Err(Error::Cancelled),

@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use tiepoint_pipeline::adjust as adjust_model;
+use tiepoint_pipeline::models::adjust as adjust_model;
 
 use crate::args::Adjust;
 use crate::failure::Failure;

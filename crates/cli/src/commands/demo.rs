@@ -7,12 +7,15 @@ use std::time::Instant;
 
 use serde::Serialize;
 use tiepoint_pipeline::eval::Cloud;
+use tiepoint_pipeline::evaluation::{PoseEvaluation, RegisteredCloud, SurfaceEvaluation};
 use tiepoint_pipeline::sfm::scene::Reconstruction;
 use tiepoint_pipeline::sfm::{MapperOptions, RigMode};
-use tiepoint_pipeline::{
-    CameraError, FeatureOptions, MapOptions, MatchOptions, Options, PoseEvaluation,
-    RegisteredCloud, Report, ReportModel, ReportSection, RigCamera, SurfaceEvaluation, Table,
-    TableRow, Thumbnails, Workspace, reconstruct, refuse_foreign_page, report_html, write_page,
+use tiepoint_pipeline::stages::{FeatureOptions, MapOptions, MatchOptions};
+use tiepoint_pipeline::workspace::RigCamera;
+use tiepoint_pipeline::{Options, Report, Workspace, reconstruct};
+use tiepoint_report::{
+    CameraError, ReportModel, ReportSection, Table, TableRow, Thumbnails, refuse_foreign_page,
+    report_html, write_page,
 };
 use tiepoint_synth::{Drive, DriveOptions, Mount, RouteKind, ViewDirection};
 

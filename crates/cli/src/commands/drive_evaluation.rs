@@ -2,15 +2,18 @@
 
 use std::path::Path;
 
+use tiepoint_pipeline::Error;
 use tiepoint_pipeline::eval::geometry::Sim3;
 use tiepoint_pipeline::eval::geometry::nalgebra::{Vector2, Vector3};
 use tiepoint_pipeline::eval::{Alignment, Cloud, TrueObservation};
+use tiepoint_pipeline::evaluation::{
+    PoseEvaluation, RegisteredCloud, RigEvaluation, SurfaceEvaluation, Truth, TruthFormat,
+    evaluate_poses, evaluate_rig, evaluate_surface, register_cloud,
+};
 use tiepoint_pipeline::io::colmap::read_model;
 use tiepoint_pipeline::sfm::scene::{Image, ImageId, Reconstruction};
-use tiepoint_pipeline::{
-    CameraError, Error, PoseEvaluation, RegisteredCloud, RigEvaluation, SurfaceEvaluation, Truth,
-    TruthFormat, evaluate_poses, evaluate_rig, evaluate_surface, model_folder, register_cloud,
-};
+use tiepoint_pipeline::workspace::model_folder;
+use tiepoint_report::CameraError;
 use tiepoint_synth::Drive;
 
 /// Points farther than this from every camera centre are not compared with the laser scan.

@@ -1,8 +1,9 @@
 //! `evaluate poses` and `evaluate cloud`.
 
+use tiepoint_pipeline::Error;
 use tiepoint_pipeline::eval::geometry::Sim3;
 use tiepoint_pipeline::eval::{Alignment, find_alignment};
-use tiepoint_pipeline::{Error, evaluate_cloud, evaluate_poses, read_cloud};
+use tiepoint_pipeline::evaluation::{evaluate_cloud, evaluate_poses, read_cloud};
 
 use crate::args::{EvaluateCloud, EvaluatePoses};
 use crate::failure::Failure;

@@ -22,9 +22,8 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 use tiepoint_pipeline::sfm::RigMode;
-use tiepoint_pipeline::{
-    Report, ReportModel, ReportSection, Table, Thumbnails, Workspace, report_html,
-};
+use tiepoint_pipeline::{Report, Workspace};
+use tiepoint_report::{ReportModel, ReportSection, Table, Thumbnails, report_html};
 use tiepoint_synth::{Drive, DriveOptions, Mount, RouteKind, ViewDirection};
 
 use super::drive_evaluation::{camera_errors, read_drive_model};

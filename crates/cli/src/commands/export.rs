@@ -1,6 +1,6 @@
 //! `export`.
 
-use tiepoint_pipeline::{
+use tiepoint_pipeline::models::{
     ExportSource, Exported, export as export_model, export_detected, export_rigid,
 };
 

@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use tiepoint_pipeline::{LocalizeOptions, LocalizeReport, localize as localize_photos};
+use tiepoint_pipeline::models::{LocalizeOptions, LocalizeReport, localize as localize_photos};
 
 use crate::args::Localize;
 use crate::failure::Failure;

@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use tiepoint_pipeline::{
+use tiepoint_pipeline::models::{
     AlignTo, AlignmentInfo, CropTo, ModelChange, ModelInfo, align_model, crop_model, merge_models,
     model_info, transform_model,
 };

@@ -1,12 +1,12 @@
 //! `reconstruct`, its stages `features`, `match` and `map`, and the stage `dense`.
 
 use tiepoint_pipeline::sfm::MapperOptions;
-use tiepoint_pipeline::{
-    DenseOptions, FeatureOptions, InputModel, MapOptions, MatchOptions, OpenedInput, Options,
-    Stage, Workspace, dense as dense_workspace, extract_features, import_features,
-    map as map_workspace, match_images as match_workspace, open_input,
-    reconstruct as reconstruct_all,
+use tiepoint_pipeline::stages::{
+    DenseOptions, FeatureOptions, InputModel, MapOptions, MatchOptions, OpenedInput,
+    dense as dense_workspace, extract_features, import_features, map as map_workspace,
+    match_images as match_workspace, open_input,
 };
+use tiepoint_pipeline::{Options, Stage, Workspace, reconstruct as reconstruct_all};
 
 use crate::args::{
     Cameras, Dense, Features, Input, MEGA, Map, Mapping, Match, Metres, Pairs, Reconstruct, Seed,

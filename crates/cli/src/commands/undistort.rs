@@ -1,6 +1,6 @@
 //! `undistort`.
 
-use tiepoint_pipeline::{
+use tiepoint_pipeline::models::{
     UndistortFolderOptions, UndistortLayout, UndistortOptions, Undistorted,
     undistort as undistort_folder,
 };

@@ -1,7 +1,7 @@
 //! `view`.
 
 use serde::Serialize;
-use tiepoint_pipeline::view as write_report;
+use tiepoint_report::view as write_report;
 
 use crate::args::View;
 use crate::failure::Failure;

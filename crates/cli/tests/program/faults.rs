@@ -16,12 +16,13 @@ use tiepoint_io::database::Database;
 use tiepoint_io::store::Error as StoreError;
 use tiepoint_io::store::disk::Operation;
 use tiepoint_io::store::disk::faults::{Faults, Kind};
+use tiepoint_pipeline::input::Calibration;
+use tiepoint_pipeline::models::{ExportFormat, ExportSource, adjust, export};
 use tiepoint_pipeline::sfm::MapperOptions;
 use tiepoint_pipeline::sfm::geometry::{CameraModelKind, Rng};
-use tiepoint_pipeline::{
-    Calibration, DenseOptions, Error, ExportFormat, ExportSource, FeatureOptions, MapOptions,
-    MatchOptions, Options, Stage, Workspace, adjust, dense, export, reconstruct, view,
-};
+use tiepoint_pipeline::stages::{DenseOptions, FeatureOptions, MapOptions, MatchOptions, dense};
+use tiepoint_pipeline::{Error, Options, Stage, Workspace, reconstruct};
+use tiepoint_report::view;
 
 use crate::photos;
 

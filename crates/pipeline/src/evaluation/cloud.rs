@@ -10,8 +10,9 @@ use tiepoint_eval::{Alignment, Cloud, IcpOptions, Statistics};
 use tiepoint_io::colmap::read_model;
 use tiepoint_io::ply;
 
+use crate::Error;
+use crate::evaluation::poses::ErrorStatistics;
 use crate::workspace::model_location::model_folder;
-use crate::{Error, ErrorStatistics};
 
 /// Largest number of points that ICP uses, which bounds its run time.
 const MAX_ICP_POINTS: usize = 50_000;

@@ -8,7 +8,7 @@ use tiepoint_eval::{PosePair, RelativePoseSeries, Statistics, associate, relativ
 use tiepoint_input::sequences::number;
 use tiepoint_sfm::scene::{CameraId, Image, Reconstruction};
 
-use crate::ErrorStatistics;
+use crate::evaluation::poses::ErrorStatistics;
 use crate::workspace::image_names::folder_of;
 
 /// Statistics of the relative pose of two cameras in a model (p_i of Huang, Elhashash & Qin 2022)
@@ -42,8 +42,8 @@ pub struct RigEvaluation {
 }
 
 /// Evaluates every pair of cameras with synchronous images; empty for a single camera. Lengths are
-/// multiplied by `scale`: 1 keeps units of the model, [`crate::PoseEvaluation::scale`] gives those
-/// of the ground truth.
+/// multiplied by `scale`: 1 keeps units of the model, [`crate::evaluation::PoseEvaluation::scale`]
+/// gives those of the ground truth.
 ///
 /// Images are paired by their times, or, if an image has none, by the numbers in their names.
 pub fn evaluate_rig(model: &Reconstruction, scale: f64) -> Vec<RigEvaluation> {

@@ -9,7 +9,7 @@ use tiepoint_eval::{
 };
 use tiepoint_sfm::scene::{Image, PointId, Reconstruction, Track};
 
-use crate::ErrorStatistics;
+use crate::evaluation::poses::ErrorStatistics;
 
 /// Maximum range of near points, in units of the ground truth (metres): a keypoint error of 0.3 px
 /// moves a point at 30 m by decimetres, so that far points would dominate the mean.
@@ -42,9 +42,9 @@ pub struct SurfaceEvaluation {
 
 /// Compares each point of a model with the true surface points at its observations.
 /// `truth_from_model` is the alignment of the cameras
-/// ([`crate::PoseEvaluation::truth_from_model`]); `true_observation` returns the true camera centre
-/// and surface point of a pixel of an image, and is called in parallel. `None` if no point is on a
-/// surface.
+/// ([`crate::evaluation::PoseEvaluation::truth_from_model`]); `true_observation` returns the true
+/// camera centre and surface point of a pixel of an image, and is called in parallel. `None` if no
+/// point is on a surface.
 pub fn evaluate_surface(
     model: &Reconstruction,
     truth_from_model: &Sim3,

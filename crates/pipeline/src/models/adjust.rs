@@ -16,9 +16,9 @@ use tiepoint_sfm::geometry::{Loss, Rigid3, so3};
 use tiepoint_sfm::{self as sfm, AdjustOptions, RefineIntrinsics, Scope};
 use tiepoint_store::write_file;
 
-use crate::workspace::model_location::ModelLocation;
+use crate::workspace::model_location::{ModelLocation, model_folder};
 use crate::workspace::model_output::{model_files, write_colmap};
-use crate::{Error, Event, Watch, model_folder};
+use crate::{Error, Event, Watch};
 
 /// Summary of a bundle adjustment.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -95,7 +95,7 @@ fn adjust_colmap(
         watch(&Event::AdjustmentStep { step: step.number, cost: step.cost })
     })
     .map_err(Error::adjusting(path))?;
-    let report = report(&summary, start, model.num_registered(), model.num_tracks())?;
+    let report = AdjustReport::new(&summary, start, model.num_registered(), model.num_tracks())?;
     if let Some(output) = output {
         let is_text = path.join("cameras.txt").is_file() && !path.join("cameras.bin").is_file();
         let format = if is_text { Format::Text } else { Format::Binary };
@@ -150,7 +150,7 @@ fn adjust_bal(
     let summary = Solver::new(&problem, &options)
         .and_then(|mut solver| solver.solve(&mut problem, &mut watch))
         .map_err(|cause| Error::adjusting(path)(cause.into()))?;
-    let report = report(&summary, start, cameras.len(), points.len())?;
+    let report = AdjustReport::new(&summary, start, cameras.len(), points.len())?;
     if let Some(output) = output {
         for (camera, (params, pose)) in bal.cameras.iter_mut().zip(&cameras) {
             let (params, pose) = (problem.get(*params), problem.get(*pose));
@@ -168,32 +168,39 @@ fn adjust_bal(
     Ok(report)
 }
 
-pub(crate) fn report(
-    summary: &Summary,
-    start: Instant,
-    images: usize,
-    points: usize,
-) -> Result<AdjustReport, Error> {
-    if summary.termination == Termination::Cancelled {
-        return Err(Error::Cancelled);
+impl AdjustReport {
+    /// The report of an adjustment that began at `start`.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Cancelled`] if the adjustment was stopped.
+    pub fn new(
+        summary: &Summary,
+        start: Instant,
+        images: usize,
+        points: usize,
+    ) -> Result<Self, Error> {
+        if summary.termination == Termination::Cancelled {
+            return Err(Error::Cancelled);
+        }
+        Ok(Self {
+            initial_cost: summary.initial_cost,
+            final_cost: summary.final_cost,
+            iterations: summary.iterations.len(),
+            seconds: start.elapsed().as_secs_f64(),
+            converged: summary.termination.converged(),
+            residuals: summary.num_residuals,
+            images,
+            points,
+            steps: summary
+                .iterations
+                .iter()
+                .map(|step| AdjustStep {
+                    seconds: step.elapsed.as_secs_f64(),
+                    cost: step.cost,
+                    accepted: step.accepted,
+                })
+                .collect(),
+        })
     }
-    Ok(AdjustReport {
-        initial_cost: summary.initial_cost,
-        final_cost: summary.final_cost,
-        iterations: summary.iterations.len(),
-        seconds: start.elapsed().as_secs_f64(),
-        converged: summary.termination.converged(),
-        residuals: summary.num_residuals,
-        images,
-        points,
-        steps: summary
-            .iterations
-            .iter()
-            .map(|step| AdjustStep {
-                seconds: step.elapsed.as_secs_f64(),
-                cost: step.cost,
-                accepted: step.accepted,
-            })
-            .collect(),
-    })
 }

@@ -23,13 +23,13 @@ use tiepoint_store::{AtomicFile, Error as StoreError, OutputFolder, write_file};
 use crate::models::rigid::{RigidReport, rigid_model};
 use crate::models::{kalibr, rolling_shutter};
 use crate::workspace::file_marks::{COMMENT, COMMENT_MARK, GLTF_MARK, LAS_MARK, PLY_MARK};
+use crate::workspace::folder::{REPORT, is_workspace, refuse_workspace};
 use crate::workspace::image_names::first_folder;
 use crate::workspace::model_location::{ModelLocation, model_folder};
 use crate::workspace::model_output::{
     model_files, model_names, refuse_shadow, renamed, stage_model, write_colmap,
 };
 use crate::workspace::model_photos::{check_sizes, decoder_bytes, photos_of, write_undistorted};
-use crate::workspace::{REPORT, is_workspace, refuse_workspace};
 use crate::{Error, Report};
 
 /// An export format.

@@ -12,8 +12,9 @@ use tiepoint_sfm::geometry::{CameraModelKind, Intrinsics, Rigid3};
 use tiepoint_sfm::scene::{Camera, Reconstruction};
 use tiepoint_store::require_regular_file;
 
+use crate::Error;
 use crate::workspace::image_names::camera_of_folder;
-use crate::{Error, RigCamera, RigFile};
+use crate::workspace::rig_file::{RigCamera, RigFile};
 
 /// Pixel coordinates of COLMAP minus those of Kalibr.
 const PIXEL_CENTRE_OFFSET_PX: f64 = 0.5;
@@ -123,7 +124,7 @@ fn intrinsics_lines(intrinsics: &Intrinsics) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::RigClock;
+    use crate::workspace::rig_file::RigClock;
     use tiepoint_sfm::scene::Image;
 
     #[test]

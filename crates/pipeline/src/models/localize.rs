@@ -27,10 +27,11 @@ use crate::stages::extractors::Extractors;
 use crate::stages::loaded_features::LoadedFeatures;
 use crate::stages::pair_choice::learn_retrieval;
 use crate::workspace::database_scene::read_scene;
+use crate::workspace::folder::{DATABASE, current_records, is_workspace};
 use crate::workspace::keypoints::keypoint;
+use crate::workspace::model_location::model_folder;
 use crate::workspace::model_output::{model_files, write_colmap};
-use crate::workspace::{DATABASE, current_records, is_workspace};
-use crate::{Error, Event, Watch, emit, model_folder};
+use crate::{Error, Event, Watch, emit};
 
 /// Up to this number of images of the model, a photo is matched with all; above it, with this
 /// number of the most similar ones. hloc retrieves as many.

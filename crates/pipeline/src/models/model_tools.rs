@@ -12,8 +12,9 @@ use tiepoint_sfm::scene::Reconstruction;
 use tiepoint_sfm::{BoundingBox, align_models, crop, merge_model};
 use tiepoint_store::write_file;
 
+use crate::Error;
+use crate::workspace::model_location::model_folder;
 use crate::workspace::model_output::{model_files, refuse_foreign_model, write_colmap};
-use crate::{Error, model_folder};
 
 /// A camera of a model.
 #[derive(Clone, Debug, PartialEq, Serialize)]

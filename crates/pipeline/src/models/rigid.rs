@@ -20,9 +20,10 @@ use tiepoint_sfm::{
     RigidCamera, SensorPair, constrain_rigidly, relative_poses, sensor_pairs,
 };
 
+use crate::Error;
 use crate::workspace::image_names::{camera_of_folder, folder_of};
-use crate::workspace::model_location::{ModelLocation, read_times};
-use crate::{Error, RigCamera, RigFile, model_folder};
+use crate::workspace::model_location::{ModelLocation, model_folder, read_times};
+use crate::workspace::rig_file::{RigCamera, RigFile};
 
 /// The effect of exact rig extrinsics on a model.
 #[derive(Clone, Debug, PartialEq, Serialize)]

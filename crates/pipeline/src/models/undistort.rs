@@ -15,10 +15,11 @@ use tiepoint_sfm::scene::{Image, Reconstruction};
 use tiepoint_store::{OutputFolder, disk};
 
 use crate::models::rolling_shutter::restore_detected_keypoints;
+use crate::workspace::folder::refuse_workspace;
+use crate::workspace::model_location::model_folder;
 use crate::workspace::model_output::{model_files, model_names, refuse_shadow, stage_model};
 use crate::workspace::model_photos::{ModelPhotos, decoder_bytes, undistorted_mask};
-use crate::workspace::refuse_workspace;
-use crate::{Error, Event, Watch, emit, model_folder};
+use crate::{Error, Event, Watch, emit};
 
 /// Folders that COLMAP's `patch_match_stereo` writes into and does not create.
 const STEREO_FOLDERS: [&str; 3] =

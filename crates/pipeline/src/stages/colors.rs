@@ -15,7 +15,7 @@ use crate::workspace::model_photos::decoder_bytes;
 /// # Errors
 ///
 /// A photo cannot be read.
-pub(crate) fn color_points<'a>(
+pub fn color_points<'a>(
     folder: &ImageFolder,
     models: impl Iterator<Item = &'a mut Reconstruction>,
 ) -> Result<(), Error> {

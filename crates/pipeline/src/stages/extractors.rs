@@ -10,23 +10,25 @@ use crate::Error;
 /// Memory of feature extraction, in bytes per pixel.
 const BYTES_PER_PIXEL: u64 = 16;
 
-pub(crate) fn memory_of(photo: &ImageInfo) -> u64 {
+/// Memory of the extraction of a photo, in bytes.
+pub fn memory_of(photo: &ImageInfo) -> u64 {
     BYTES_PER_PIXEL * u64::from(photo.width) * u64::from(photo.height)
 }
 
 /// Pool of extractors, whose buffers are reused: one per image that is processed at a time.
-pub(crate) struct Extractors {
+pub struct Extractors {
     options: sift::Options,
     idle: Mutex<Vec<Sift>>,
 }
 
 impl Extractors {
-    pub(crate) fn new(options: sift::Options) -> Self {
+    /// A pool without extractors.
+    pub fn new(options: sift::Options) -> Self {
         Self { options, idle: Mutex::default() }
     }
 
     /// Extracts the features of an image, where its mask is not 0.
-    pub(crate) fn extract(&self, image: &Luma, mask: Option<&Luma>) -> Result<Features, Error> {
+    pub fn extract(&self, image: &Luma, mask: Option<&Luma>) -> Result<Features, Error> {
         let idle = self.idle().pop();
         let mut sift = idle.map_or_else(|| Sift::new(self.options), Ok)?;
         let features = sift.extract(&view(image), mask.map(view).as_ref())?;
@@ -35,11 +37,7 @@ impl Extractors {
     }
 
     /// Extracts the features of a photo, where its mask is not 0.
-    pub(crate) fn extract_photo(
-        &self,
-        photos: &ImageFolder,
-        index: usize,
-    ) -> Result<Features, Error> {
+    pub fn extract_photo(&self, photos: &ImageFolder, index: usize) -> Result<Features, Error> {
         let (image, mask) = (photos.luma(index)?, photos.mask(index)?);
         self.extract(&image, mask.as_ref())
     }

@@ -11,7 +11,7 @@ use tiepoint_input::cameras::{
 };
 use tiepoint_input::fingerprint::hash_file;
 use tiepoint_input::parallel::{budget_bytes, for_each_within_budget};
-use tiepoint_input::{DEFAULT_MAX_PIXELS, ImageInfo};
+use tiepoint_input::{CameraGrouping, DEFAULT_MAX_PIXELS, ImageInfo, Photos, SkippedImage};
 use tiepoint_io::database::{Database, read_stage_rows};
 use tiepoint_io::features::{self as sift, Features};
 use tiepoint_io::timestamps;
@@ -21,12 +21,10 @@ use tiepoint_store::Error as StoreError;
 
 use crate::stages::extractors::{Extractors, memory_of};
 use crate::stages::option_keys;
-use crate::workspace::TIMESTAMPS;
+use crate::workspace::folder::TIMESTAMPS;
 use crate::workspace::records::{Progress, Recipe};
-use crate::{
-    CameraGrouping, CameraReport, Error, Event, FeaturesReport, Photos, SkippedImage, Stage, Watch,
-    Workspace, emit,
-};
+use crate::workspace::report::{CameraReport, FeaturesReport};
+use crate::{Error, Event, Stage, Watch, Workspace, emit};
 
 /// Options of feature extraction.
 #[derive(Clone, Debug)]

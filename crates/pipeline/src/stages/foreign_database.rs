@@ -24,9 +24,8 @@ use crate::stages::option_keys;
 use crate::workspace::keypoints::keypoint;
 use crate::workspace::option_names;
 use crate::workspace::records::{Progress, Recipe};
-use crate::{
-    CameraReport, Error, Event, FeaturesReport, MatchReport, Stage, Watch, Workspace, emit,
-};
+use crate::workspace::report::{CameraReport, FeaturesReport, MatchReport};
+use crate::{Error, Event, Stage, Watch, Workspace, emit};
 
 /// Pairs per transaction.
 const PAIRS_PER_TRANSACTION: usize = 64;
@@ -156,7 +155,7 @@ pub(crate) fn verify_imported_pairs(
         database.write_stage_rows(&workspace.records.rows())?;
         workspace.note(|_| {})?;
     }
-    let pairs = Pairs::read(&database)?;
+    let pairs = ImportedPairs::read(&database)?;
     emit(watch, &Event::StageBegan { stage: STAGE, total: pairs.all.len(), done: 0 })?;
     let tasks: Vec<ImagePair> = pairs.all.keys().copied().collect();
     let names: Vec<String> = pairs.images.iter().map(|image| image.name.clone()).collect();
@@ -190,16 +189,21 @@ pub(crate) fn verify_imported_pairs(
     workspace.complete_matching(database, report, start, watch)
 }
 
-/// The pairs of a database.
-pub(crate) struct Pairs {
+/// The pairs of a database, with their images.
+pub struct ImportedPairs {
     cameras: Vec<Camera>,
     images: Vec<Image>,
     /// The two-view geometry of each pair that has one.
-    pub(crate) all: BTreeMap<ImagePair, Option<TwoView>>,
+    pub all: BTreeMap<ImagePair, Option<TwoView>>,
 }
 
-impl Pairs {
-    pub(crate) fn read(database: &Database) -> Result<Self, Error> {
+impl ImportedPairs {
+    /// Reads all pairs, those with matches alone too.
+    ///
+    /// # Errors
+    ///
+    /// The database cannot be read.
+    pub fn read(database: &Database) -> Result<Self, Error> {
         let mut all: BTreeMap<ImagePair, Option<TwoView>> =
             database.matched_pairs()?.into_iter().map(|pair| (pair, None)).collect();
         all.extend(database.read_two_views()?.into_iter().map(|(pair, view)| (pair, Some(view))));
@@ -212,8 +216,9 @@ impl Pairs {
         Ok(Self { cameras: database.read_cameras()?, images, all })
     }
 
-    /// The two-view geometry of a pair, and whether it differs from that in the database.
-    pub(crate) fn verified(
+    /// The two-view geometry of a pair, and whether it differs from that in the database. `raw`:
+    /// matches of a pair without a geometry.
+    pub fn verified(
         &self,
         pair: ImagePair,
         raw: &[Match],

@@ -7,9 +7,10 @@ use tiepoint_io::colmap::read_model;
 use tiepoint_sfm::scene::Reconstruction;
 use tiepoint_sfm::{self as sfm, MapperOptions, RigMode, Transferred, transfer_model};
 
+use crate::Error;
 use crate::stages::option_keys;
+use crate::workspace::model_location::model_folder;
 use crate::workspace::model_output::model_files;
-use crate::{Error, model_folder};
 
 /// A COLMAP model whose images with their poses are the beginning of a map.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -17,7 +18,7 @@ pub struct InputModel {
     /// Its folder, or a workspace.
     pub path: PathBuf,
     /// Whether its poses are kept to the last bit, and its intrinsics, unless
-    /// [`MapOptions::refine`](crate::MapOptions::refine) is given.
+    /// [`MapOptions::refine`](crate::stages::MapOptions::refine) is given.
     pub fix_existing_frames: bool,
 }
 

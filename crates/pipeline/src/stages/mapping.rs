@@ -6,9 +6,9 @@ use std::ops::ControlFlow;
 use std::path::PathBuf;
 use std::time::Instant;
 
-use tiepoint_input::ImageFolder;
 use tiepoint_input::cameras::CalibrationFacts;
 use tiepoint_input::fingerprint::hash_file;
+use tiepoint_input::{ImageFolder, Size};
 use tiepoint_io::colmap::Format;
 use tiepoint_io::database::{Database, DatabaseFrame};
 use tiepoint_io::{ply, timestamps};
@@ -26,12 +26,15 @@ use crate::stages::rig_hints::why_no_rig;
 use crate::stages::scale::scale_to_baseline;
 use crate::workspace::database_scene::read_scene;
 use crate::workspace::file_names::{SPARSE, is_rig_name, model_path, rig_name};
+use crate::workspace::folder::{POINTS, rigs_in};
 use crate::workspace::model_output::{model_names, stage_model};
+use crate::workspace::option_names;
 use crate::workspace::records::{Progress, Recipe};
 use crate::workspace::report::ScaleReport;
+use crate::workspace::report::{MapReport, ModelReport};
 use crate::workspace::rig_file::RigFile;
-use crate::workspace::{POINTS, option_names, rigs_in};
-use crate::{Error, Event, MapReport, ModelReport, RigReport, Size, Stage, Watch, Workspace, emit};
+use crate::workspace::rig_report::RigReport;
+use crate::{Error, Event, Stage, Watch, Workspace, emit};
 
 /// Options of mapping.
 #[derive(Clone, Debug, Default)]
@@ -162,7 +165,7 @@ pub fn map(
         )
     };
     let mut notified = |event: &sfm::Event| {
-        translate(event, &name).map_or(ControlFlow::Continue(()), |event| watch(&event))
+        named_event(event, &name).map_or(ControlFlow::Continue(()), |event| watch(&event))
     };
     let mut models = match (&input_model, &known_rigs) {
         (None, None) => sfm::map(&graph, &scene, &mut descriptors, &options, &mut notified)?,
@@ -369,10 +372,7 @@ fn no_overlap(workspace: &Workspace, required: usize) -> Result<Error, Error> {
 }
 
 /// An event of the mapper with image names in place of ids.
-pub(crate) fn translate<'a>(
-    event: &sfm::Event,
-    name: &dyn Fn(ImageId) -> &'a str,
-) -> Option<Event<'a>> {
+pub fn named_event<'a>(event: &sfm::Event, name: &dyn Fn(ImageId) -> &'a str) -> Option<Event<'a>> {
     Some(match *event {
         sfm::Event::Initialised { image1, image2, num_points } => Event::ModelInitialised {
             image1: name(image1),

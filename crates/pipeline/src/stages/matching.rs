@@ -21,7 +21,8 @@ use crate::stages::option_keys;
 use crate::stages::pair_choice::{self, IMAGES_READ_AT_ONCE, PairChoice};
 use crate::workspace::option_names::PAIRS;
 use crate::workspace::records::{Progress, Recipe};
-use crate::{Error, Event, MatchReport, Stage, Watch, Workspace, emit};
+use crate::workspace::report::MatchReport;
+use crate::{Error, Event, Stage, Watch, Workspace, emit};
 
 /// Images per side of a tile. 8192 prepared features take 1.4 MiB, so that a tile takes a third of
 /// a gigabyte.
@@ -131,7 +132,7 @@ pub fn match_images(
 /// # Errors
 ///
 /// The database cannot be read or written, or `watch` returns `Break`.
-pub(crate) fn match_pairs(
+pub fn match_pairs(
     database: &mut Database,
     choice: PairChoice,
     options: &MatchOptions,

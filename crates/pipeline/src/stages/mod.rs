@@ -16,3 +16,17 @@ pub(crate) mod rig_calibration;
 pub(crate) mod rig_hints;
 pub(crate) mod scale;
 pub(crate) mod video;
+
+pub use colors::color_points;
+pub use dense::dense;
+pub use dense::options::DenseOptions;
+pub use extractors::{Extractors, memory_of};
+pub use features::{FeatureOptions, extract_features};
+pub use foreign_database::{ImportedPairs, import_features};
+pub use input_model::InputModel;
+pub use mapping::{MapOptions, map, named_event};
+pub use matching::{MatchOptions, match_images, match_pairs};
+pub use pair_choice::{PairChoice, all_ids, choose_pairs, learn_retrieval};
+pub use reconstruct::{Options, reconstruct};
+pub use rig_calibration::known_rigs;
+pub use video::{OpenedInput, open_input};

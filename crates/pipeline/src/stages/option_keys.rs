@@ -22,7 +22,7 @@ use tiepoint_sfm::{
     VerifyOptions,
 };
 
-use crate::DenseOptions;
+use crate::stages::dense::options::DenseOptions;
 use crate::workspace::option_names::{
     CALIBRATION_KEY, CAMERAS_KEY, DATABASE, FOCAL_PRIOR, FOUND_PAIRS, INTRINSICS, MAX_PIXELS_KEY,
     NONE, PAIRS, PAIRS_OF_DATABASE, REFINE_EXTRINSICS_KEY, REFINE_KNOWN_KEY, RIG_CALIBRATION_KEY,

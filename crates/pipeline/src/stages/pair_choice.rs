@@ -188,7 +188,7 @@ fn selected(
 }
 
 /// The ids of the images of a database.
-pub(crate) fn all_ids(images: usize) -> Vec<ImageId> {
+pub fn all_ids(images: usize) -> Vec<ImageId> {
     (0..images).map(ImageId::from_index).collect()
 }
 
@@ -198,7 +198,7 @@ pub(crate) fn all_ids(images: usize) -> Vec<ImageId> {
 /// # Errors
 ///
 /// The database cannot be read.
-pub(crate) fn learn_retrieval(
+pub fn learn_retrieval(
     database: &Database,
     images: &[ImageId],
     seed: u64,

@@ -1,10 +1,14 @@
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 
-use crate::{
-    DenseOptions, Error, FeatureOptions, MapOptions, MatchOptions, OpenedInput, Report, Stage,
-    Watch, Workspace, dense, extract_features, import_features, map, match_images, open_input,
-};
+use crate::stages::dense::dense;
+use crate::stages::dense::options::DenseOptions;
+use crate::stages::features::{FeatureOptions, extract_features};
+use crate::stages::foreign_database::import_features;
+use crate::stages::mapping::{MapOptions, map};
+use crate::stages::matching::{MatchOptions, match_images};
+use crate::stages::video::{OpenedInput, open_input};
+use crate::{Error, Report, Stage, Watch, Workspace};
 
 /// Options of [`reconstruct`].
 #[derive(Clone, Debug, Default)]

@@ -23,7 +23,7 @@ use crate::Error;
 ///
 /// The file cannot be read or is damaged; a camera of it has no photos, or photos of several
 /// cameras or of a camera of another entry; no frame has two photos; intrinsics do not fit.
-pub(crate) fn known_rigs(
+pub fn known_rigs(
     path: &Path,
     scene: &mut Reconstruction,
     refine_extrinsics: bool,

@@ -10,18 +10,18 @@ use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
-use tiepoint_input::Error as InputError;
 use tiepoint_input::fingerprint::hash_file_ends;
 use tiepoint_input::images::{is_image, is_unread_image};
 use tiepoint_input::video::{
     Candidate, FrameSelector, RATE_HZ, Recording, Reduction, STRETCH_S, Selected, Transfer,
     VideoReader, is_stabilised, is_video, read_sound, recordings, start_offset_s,
 };
+use tiepoint_input::{Error as InputError, Photos};
 use tiepoint_io::timestamps;
 use tiepoint_store::{Error as StoreError, OutputFolder};
 
 use crate::workspace::format::json;
-use crate::{Error, Event, Photos, Stage, Watch, Workspace, emit};
+use crate::{Error, Event, Stage, Watch, Workspace, emit};
 
 const FRAMES: &str = "frames";
 const RECORD: &str = "videos.json";

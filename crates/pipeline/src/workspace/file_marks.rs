@@ -3,7 +3,7 @@
 use tiepoint_store::Mark;
 
 /// A PLY file.
-pub(crate) const PLY_MARK: Mark = Mark::Inside("\ncomment tiepoint\n");
+pub const PLY_MARK: Mark = Mark::Inside("\ncomment tiepoint\n");
 /// A LAS or LAZ file: the generating software in its header, which zeros surround.
 pub(crate) const LAS_MARK: Mark = Mark::Inside("\0tiepoint\0");
 /// A binary glTF file: the first member of its JSON part.

@@ -1,7 +1,7 @@
 //! Names of the files of a workspace that several stages and commands use.
 
 /// Rig extrinsics of the largest model.
-pub(crate) const RIG: &str = "rig.json";
+pub const RIG: &str = "rig.json";
 /// Folder of the models.
 pub(crate) const SPARSE: &str = "sparse";
 
@@ -11,7 +11,7 @@ pub(crate) const DENSE: &str = "dense";
 pub(crate) const DENSE_CLOUD: &str = "dense/fused.ply";
 
 /// The depth map of an image, relative to the workspace.
-pub(crate) fn depth_map_path(image: &str) -> String {
+pub fn depth_map_path(image: &str) -> String {
     format!("dense/stereo/depth_maps/{image}.geometric.bin")
 }
 

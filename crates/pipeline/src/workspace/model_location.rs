@@ -10,10 +10,11 @@ use tiepoint_store::{Error as StoreError, OutputFolder};
 use crate::Stage;
 use crate::error::Error;
 use crate::workspace::file_names::{model_path, rig_name};
-use crate::workspace::records::Records;
-use crate::workspace::{
-    DATABASE, REPORT, STAGES, TIMESTAMPS, current_records, is_workspace, option_names,
+use crate::workspace::folder::{
+    DATABASE, REPORT, STAGES, TIMESTAMPS, current_records, is_workspace,
 };
+use crate::workspace::option_names;
+use crate::workspace::records::Records;
 
 /// Workspace and index of a model in `WORKSPACE/sparse/INDEX`.
 pub(crate) struct ModelLocation {
@@ -114,7 +115,7 @@ pub fn model_folder(path: &Path) -> Result<PathBuf, Error> {
 /// # Errors
 ///
 /// The file exists and cannot be read.
-pub(crate) fn read_times(model: &mut Reconstruction, file: &Path) -> Result<(), Error> {
+pub fn read_times(model: &mut Reconstruction, file: &Path) -> Result<(), Error> {
     if file.is_file() {
         let times = timestamps::read(file)?;
         let known: Vec<(ImageId, Option<f64>)> =

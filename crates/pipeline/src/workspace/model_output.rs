@@ -8,7 +8,7 @@ use tiepoint_store::disk::FileId;
 use tiepoint_store::{Error as StoreError, OutputFolder, disk};
 
 use crate::Error;
-use crate::workspace::refuse_workspace;
+use crate::workspace::folder::refuse_workspace;
 
 /// Stages a COLMAP model in a sub-folder (`None`: in the folder itself). Returns the names of its
 /// files in the order for [`OutputFolder::publish`].
@@ -16,7 +16,7 @@ use crate::workspace::refuse_workspace;
 /// # Errors
 ///
 /// The model is invalid or cannot be written.
-pub(crate) fn stage_model(
+pub fn stage_model(
     to: &OutputFolder,
     folder: Option<&str>,
     model: &Reconstruction,
@@ -72,7 +72,7 @@ pub(crate) fn renamed(error: tiepoint_io::Error, staged: &Path, asked: &Path) ->
 }
 
 /// Names of the files of a COLMAP model in this sub-folder, in both formats.
-pub(crate) fn model_names(folder: Option<&str>) -> Vec<String> {
+pub fn model_names(folder: Option<&str>) -> Vec<String> {
     let prefix = folder.map_or_else(String::new, |folder| format!("{folder}/"));
     let names =
         |format: Format| MODEL_FILES.map(|name| format!("{prefix}{name}.{}", format.suffix()));
@@ -142,6 +142,6 @@ pub(crate) fn refuse_shadow(from: &Path, model_folder: &Path, to: &Path) -> Resu
 }
 
 /// Paths of all files that a COLMAP model in a folder may have.
-pub(crate) fn model_files(folder: &Path) -> Vec<PathBuf> {
+pub fn model_files(folder: &Path) -> Vec<PathBuf> {
     model_names(None).iter().map(|name| folder.join(name)).collect()
 }

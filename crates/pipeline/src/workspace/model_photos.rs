@@ -10,9 +10,9 @@ use tiepoint_input::{ImageFolder, Luma, Rgb};
 use tiepoint_io::database::Database;
 use tiepoint_sfm::scene::{Camera, Image, Reconstruction};
 
-use crate::workspace::model_location::ModelLocation;
-use crate::workspace::{DATABASE, current_records, is_workspace};
-use crate::{Error, model_folder};
+use crate::Error;
+use crate::workspace::folder::{DATABASE, current_records, is_workspace};
+use crate::workspace::model_location::{ModelLocation, model_folder};
 
 /// The photos of the registered images of a model, by name.
 pub(crate) struct ModelPhotos {
@@ -145,7 +145,7 @@ impl ModelPhotos {
 /// # Errors
 ///
 /// The database cannot be read.
-pub(crate) fn fingerprints_of(root: &Path) -> Result<BTreeMap<String, String>, Error> {
+pub fn fingerprints_of(root: &Path) -> Result<BTreeMap<String, String>, Error> {
     let database = root.join(DATABASE);
     if !database.is_file() {
         return Ok(BTreeMap::new());
@@ -154,7 +154,7 @@ pub(crate) fn fingerprints_of(root: &Path) -> Result<BTreeMap<String, String>, E
 }
 
 /// Whether a photo has a fingerprint. A photo that cannot be read is reported by what reads it.
-pub(crate) fn is_unchanged(photo: &Path, known: &str) -> bool {
+pub fn is_unchanged(photo: &Path, known: &str) -> bool {
     of_photo(photo).map_or(true, |found| found == known)
 }
 
@@ -243,9 +243,16 @@ pub(crate) fn undistorted_mask(
 pub(crate) const DECODER_BYTES_PER_PIXEL: u64 = 12;
 
 /// Memory for decoding a photo of a camera, in bytes.
-pub(crate) fn decoder_bytes(camera: &Camera) -> u64 {
+pub fn decoder_bytes(camera: &Camera) -> u64 {
     // A camera of a foreign model may have any size in its file.
     (DECODER_BYTES_PER_PIXEL * u64::from(camera.width))
         .saturating_mul(u64::from(camera.height))
         .min(1 << 48)
+}
+
+/// The input folders of a workspace; `None` if the folder is no workspace or its records are
+/// damaged.
+pub fn inputs_of(root: &Path) -> Option<Vec<PathBuf>> {
+    let records = is_workspace(root).then(|| current_records(root).ok()).flatten();
+    records.map(|records| records.inputs)
 }

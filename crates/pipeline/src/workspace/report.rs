@@ -1,12 +1,14 @@
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
+use tiepoint_input::SkippedImage;
 use tiepoint_sfm::RollingShutter;
 use tiepoint_sfm::scene::{Camera, CameraId, Reconstruction};
 use tiepoint_store::{Error as StoreError, require_regular_file};
 
 use crate::workspace::file_names::DENSE_CLOUD;
-use crate::{Error, RigReport, SkippedImage, Stage};
+use crate::workspace::rig_report::RigReport;
+use crate::{Error, Stage};
 
 /// `report.json`: the results of all stages.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -207,7 +209,7 @@ impl ModelReport {
 impl Report {
     /// The file of the dense cloud of the current model. That of an earlier model stays on disk,
     /// and the report has none; files of the stage may have been deleted.
-    pub(crate) fn dense_cloud(&self, workspace: &Path) -> Option<PathBuf> {
+    pub fn dense_cloud(&self, workspace: &Path) -> Option<PathBuf> {
         let path = workspace.join(DENSE_CLOUD);
         (self.stages.dense.is_some() && path.is_file()).then_some(path)
     }
@@ -217,7 +219,7 @@ impl Report {
     /// # Errors
     ///
     /// The file cannot be read or is damaged.
-    pub(crate) fn read(path: &Path) -> Result<Self, Error> {
+    pub fn read(path: &Path) -> Result<Self, Error> {
         require_regular_file(path)?;
         match std::fs::read(path) {
             Err(cause) if cause.kind() == std::io::ErrorKind::NotFound => {

@@ -1,6 +1,6 @@
 //! `feature_extractor`.
 
-use tiepoint_pipeline::colmap::{ExtractOptions, SharedCamera, extract};
+use tiepoint_colmap::{ExtractOptions, SharedCamera, extract};
 use tiepoint_pipeline::io::features::{self as sift, DomainSizes, Normalization, Orientation};
 use tiepoint_pipeline::sfm::geometry::{CameraModelKind, Intrinsics};
 

@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use tiepoint_pipeline::colmap::{
+use tiepoint_colmap::{
     MapDatabaseOptions, MappedFolder, TriangulateOptions, configure_rigs, map, register,
     triangulate,
 };

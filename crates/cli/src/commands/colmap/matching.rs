@@ -1,8 +1,8 @@
 //! `exhaustive_matcher`, `sequential_matcher` and `vocab_tree_matcher`.
 
-use tiepoint_pipeline::MatchOptions;
-use tiepoint_pipeline::colmap::{DatabasePairs, match_database};
+use tiepoint_colmap::{DatabasePairs, match_database};
 use tiepoint_pipeline::sfm::{VerifyOptions, matching};
+use tiepoint_pipeline::stages::MatchOptions;
 
 use super::options::Options;
 use crate::failure::Failure;

@@ -17,7 +17,6 @@ use std::path::Path;
 use crate::args::Colmap;
 use crate::failure::Failure;
 use crate::output::Output;
-
 use options::Options;
 use verbs::{VERBS, Verb};
 

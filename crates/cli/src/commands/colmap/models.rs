@@ -2,11 +2,11 @@
 
 use std::path::PathBuf;
 
-use tiepoint_pipeline::colmap::{
+use tiepoint_colmap::{
     AdjustModelOptions, AlignedTo, adjust, align, convert_to_ply, merge, write_as,
 };
 use tiepoint_pipeline::io::colmap::Format;
-use tiepoint_pipeline::model_info;
+use tiepoint_pipeline::models::model_info;
 
 use super::mapping::refine;
 use super::options::Options;

@@ -1,6 +1,8 @@
 //! `image_undistorter`.
 
-use tiepoint_pipeline::{UndistortFolderOptions, UndistortLayout, UndistortOptions, undistort};
+use tiepoint_pipeline::models::{
+    UndistortFolderOptions, UndistortLayout, UndistortOptions, undistort,
+};
 
 use super::options::Options;
 use crate::failure::Failure;

@@ -6,9 +6,10 @@ use serde::{Deserialize, Serialize};
 use tiepoint_pipeline::eval::geometry::Sim3;
 use tiepoint_pipeline::eval::geometry::nalgebra::Vector3;
 use tiepoint_pipeline::eval::{Alignment, Cloud};
-use tiepoint_pipeline::{
-    CameraError, CloudError, DenseOptions, Error, Workspace, dense, read_cloud, register_cloud,
-};
+use tiepoint_pipeline::evaluation::{read_cloud, register_cloud};
+use tiepoint_pipeline::stages::{DenseOptions, dense};
+use tiepoint_pipeline::{Error, Workspace};
+use tiepoint_report::{CameraError, CloudError};
 
 use super::distance::Distance;
 use crate::commands::drive_evaluation::MAX_CLOUD_RANGE_M;

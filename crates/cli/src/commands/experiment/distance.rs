@@ -1,7 +1,7 @@
 //! Distances of a cloud to the scan, as in the tables of the paper.
 
 use serde::{Deserialize, Serialize};
-use tiepoint_pipeline::RegisteredCloud;
+use tiepoint_pipeline::evaluation::RegisteredCloud;
 
 /// Mean and standard deviation of point distances.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]

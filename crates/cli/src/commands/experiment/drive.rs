@@ -4,7 +4,7 @@ use std::fs;
 use std::io::Write;
 use std::path::Path;
 
-use tiepoint_pipeline::Calibration;
+use tiepoint_pipeline::input::Calibration;
 use tiepoint_pipeline::sfm::geometry::CameraModelKind;
 use tiepoint_pipeline::store::AtomicFile;
 use tiepoint_synth::Drive;

@@ -12,10 +12,9 @@ use tiepoint_pipeline::eval::geometry::nalgebra::{Quaternion, UnitQuaternion, Ve
 use tiepoint_pipeline::io::colmap::Format;
 use tiepoint_pipeline::sfm::scene::CameraId;
 use tiepoint_pipeline::sfm::{MapperOptions, Readout, RigMode};
-use tiepoint_pipeline::{
-    Error, FeatureOptions, InputModel, MapOptions, MatchOptions, Options, Report, RigCamera,
-    Workspace, map, reconstruct, write_model,
-};
+use tiepoint_pipeline::stages::{FeatureOptions, InputModel, MapOptions, MatchOptions, map};
+use tiepoint_pipeline::workspace::{RigCamera, write_model};
+use tiepoint_pipeline::{Error, Options, Report, Workspace, reconstruct};
 use tiepoint_synth::Drive;
 
 use super::dense_cloud::{Comparison, DenseCloud, evaluate_dense};

@@ -2,7 +2,7 @@
 //! truth.
 
 use tiepoint_pipeline::sfm::RigMode;
-use tiepoint_pipeline::{Table, TableRow};
+use tiepoint_report::{Table, TableRow};
 
 use super::run::{Measurements, Run};
 use crate::commands::synth::BASELINE_M;

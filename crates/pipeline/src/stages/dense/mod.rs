@@ -31,7 +31,8 @@ use crate::workspace::file_names::{DENSE, DENSE_CLOUD, depth_map_path, model_pat
 use crate::workspace::model_output::{model_names, stage_model};
 use crate::workspace::model_photos::{check_sizes, photos_of, write_undistorted};
 use crate::workspace::records::{Progress, Recipe};
-use crate::{DenseReport, DenseStep, Error, Event, Stage, Watch, Workspace, emit};
+use crate::workspace::report::DenseReport;
+use crate::{DenseStep, Error, Event, Stage, Watch, Workspace, emit};
 
 const SPARSE: &str = "dense/sparse";
 const VISIBILITY: &str = "dense/fused.ply.vis";

@@ -2,11 +2,11 @@
 
 use std::path::Path;
 
-use tiepoint_io::database::DatabaseFrame;
+use tiepoint_pipeline::Error;
+use tiepoint_pipeline::io::database::DatabaseFrame;
+use tiepoint_pipeline::stages::known_rigs;
 
 use super::scene::{open_to_add, read_scene};
-use crate::Error;
-use crate::stages::rig_calibration::known_rigs;
 
 /// Writes the rigs of a file, and the frames of their images, into a database, in place of those
 /// that it has. Cameras for which the file has intrinsics get these. Returns the number of rigs and

@@ -2,13 +2,11 @@
 
 use std::path::Path;
 
-use tiepoint_io::colmap::Format;
-use tiepoint_sfm::scene::Reconstruction;
-use tiepoint_store::OutputFolder;
-
-use crate::Error;
-use crate::workspace::model_output::{model_names, stage_model};
-use crate::workspace::refuse_workspace;
+use tiepoint_pipeline::Error;
+use tiepoint_pipeline::io::colmap::Format;
+use tiepoint_pipeline::sfm::scene::Reconstruction;
+use tiepoint_pipeline::store::OutputFolder;
+use tiepoint_pipeline::workspace::{model_names, refuse_workspace, stage_model};
 
 /// File of the options that a model was made with, which COLMAP writes beside it.
 pub(super) const PROJECT: &str = "project.ini";

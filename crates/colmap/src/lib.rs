@@ -1,8 +1,4 @@
-//! The work of COLMAP's commands, on the databases and folders that a caller names: no workspace.
-//!
-//! A database is added to, never replaced: images, matches and two-view geometries that it has stay
-//! as they are. A folder that the caller names as the output gets the new model, whoever made the
-//! old one.
+#![doc = include_str!("../README.md")]
 
 mod extract;
 mod map;
@@ -21,4 +17,5 @@ pub use models::{
 pub use output::write_model;
 pub use pairs::{DatabasePairs, match_database};
 pub use rigs::configure_rigs;
+pub use tiepoint_pipeline as pipeline;
 pub use triangulate::{TriangulateOptions, register, triangulate};

@@ -6,19 +6,18 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use serde::Serialize;
-use tiepoint_io::colmap::{Format, read_model};
-use tiepoint_io::{ply, positions, similarity};
-use tiepoint_sfm::geometry::nalgebra::{Matrix3, UnitQuaternion, Vector3};
-use tiepoint_sfm::geometry::{Loss, RansacOptions, Sim3, estimate};
-use tiepoint_sfm::scene::{ImageId, Reconstruction};
-use tiepoint_sfm::{self as sfm, AdjustOptions, RefineIntrinsics, Scope, merge_model};
-use tiepoint_store::write_file;
+use tiepoint_pipeline::io::colmap::{Format, read_model};
+use tiepoint_pipeline::io::{ply, positions, similarity};
+use tiepoint_pipeline::models::{AdjustReport, SimilarityInfo};
+use tiepoint_pipeline::sfm::geometry::nalgebra::{Matrix3, UnitQuaternion, Vector3};
+use tiepoint_pipeline::sfm::geometry::{Loss, RansacOptions, Sim3, estimate};
+use tiepoint_pipeline::sfm::scene::{ImageId, Reconstruction};
+use tiepoint_pipeline::sfm::{self as sfm, AdjustOptions, RefineIntrinsics, Scope, merge_model};
+use tiepoint_pipeline::store::write_file;
+use tiepoint_pipeline::workspace::{PLY_MARK, model_files};
+use tiepoint_pipeline::{Error, Event, Watch};
 
 use super::output::{refuse_foreign_model, write_model};
-use crate::models::adjust::report;
-use crate::workspace::file_marks::PLY_MARK;
-use crate::workspace::model_output::model_files;
-use crate::{AdjustReport, Error, Event, SimilarityInfo, Watch};
 
 /// Standard deviation of the priors of the intrinsics, which COLMAP does not have: none.
 const NO_PRIOR: f64 = 1e6;
@@ -68,7 +67,7 @@ pub fn adjust(
         watch(&Event::AdjustmentStep { step: step.number, cost: step.cost })
     })
     .map_err(Error::adjusting(input))?;
-    let report = report(&summary, start, model.num_registered(), model.num_tracks())?;
+    let report = AdjustReport::new(&summary, start, model.num_registered(), model.num_tracks())?;
     write_model(output, &model, Format::Binary)?;
     Ok(report)
 }

@@ -4,22 +4,22 @@
 use std::collections::BTreeSet;
 use std::path::Path;
 
-use tiepoint_input::ImageFolder;
-use tiepoint_io::colmap::Format;
-use tiepoint_io::database::Database;
-use tiepoint_sfm::geometry::Rng;
-use tiepoint_sfm::scene::{CorrespondenceGraph, ImageId, PointId, Reconstruction};
-use tiepoint_sfm::{
+use tiepoint_pipeline::input::ImageFolder;
+use tiepoint_pipeline::io::colmap::Format;
+use tiepoint_pipeline::io::database::Database;
+use tiepoint_pipeline::sfm::geometry::Rng;
+use tiepoint_pipeline::sfm::scene::{CorrespondenceGraph, ImageId, PointId, Reconstruction};
+use tiepoint_pipeline::sfm::{
     self as sfm, AdjustOptions, FilterOptions, RefineIntrinsics, RegisterOptions, Scope,
     TrackOptions, complete_tracks, filter_all_points, merge_tracks, register_image, retriangulate,
     triangulate_image,
 };
+use tiepoint_pipeline::stages::color_points;
+use tiepoint_pipeline::{Error, Event, Stage, Watch, emit};
 
 use super::map::{MappedFolder, for_scene, transferred};
 use super::output::write_model;
 use super::scene::{ids_of, read_graph, read_scene};
-use crate::stages::colors::color_points;
-use crate::{Error, Event, Stage, Watch, emit};
 
 /// Rounds of completion, adjustment of the points and filtering, as in COLMAP.
 const ROUNDS: usize = 5;

@@ -6,16 +6,16 @@ use std::time::Instant;
 
 use rayon::prelude::*;
 use serde::Serialize;
-use tiepoint_input::parallel::{budget_bytes, for_each_within_budget};
-use tiepoint_input::{ImageFolder, ImageInfo};
-use tiepoint_io::database::Database;
-use tiepoint_io::features::{self as sift, Features};
-use tiepoint_sfm::geometry::{CameraModelKind, Intrinsics};
-use tiepoint_sfm::scene::{Camera, CameraId, Image, ImageId};
+use tiepoint_pipeline::input::parallel::{budget_bytes, for_each_within_budget};
+use tiepoint_pipeline::input::{ImageFolder, ImageInfo};
+use tiepoint_pipeline::io::database::Database;
+use tiepoint_pipeline::io::features::{self as sift, Features};
+use tiepoint_pipeline::sfm::geometry::{CameraModelKind, Intrinsics};
+use tiepoint_pipeline::sfm::scene::{Camera, CameraId, Image, ImageId};
+use tiepoint_pipeline::stages::{Extractors, memory_of};
+use tiepoint_pipeline::{Error, Event, Stage, Watch, emit};
 
 use super::scene::open_to_add;
-use crate::stages::extractors::{Extractors, memory_of};
-use crate::{Error, Event, Stage, Watch, emit};
 
 /// Which images share a camera, as the options `ImageReader.*` say.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

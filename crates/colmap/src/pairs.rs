@@ -4,13 +4,13 @@ use std::collections::BTreeSet;
 use std::path::Path;
 use std::time::Instant;
 
-use tiepoint_io::database::Database;
-use tiepoint_sfm::scene::{Image, ImageId, ImagePair};
+use tiepoint_pipeline::io::database::Database;
+use tiepoint_pipeline::sfm::scene::{Image, ImageId, ImagePair};
+use tiepoint_pipeline::stages::{MatchOptions, PairChoice, all_ids, learn_retrieval, match_pairs};
+use tiepoint_pipeline::workspace::MatchReport;
+use tiepoint_pipeline::{Error, Event, Stage, Watch, emit};
 
 use super::scene::open_to_add;
-use crate::stages::matching::match_pairs;
-use crate::stages::pair_choice::{PairChoice, all_ids, learn_retrieval};
-use crate::{Error, Event, MatchOptions, MatchReport, Stage, Watch, emit};
 
 /// Which pairs of the images of a database are matched.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -117,7 +117,7 @@ fn choice(
 
 #[cfg(test)]
 mod tests {
-    use tiepoint_sfm::scene::CameraId;
+    use tiepoint_pipeline::sfm::scene::CameraId;
 
     use super::*;
 

@@ -1,37 +1,31 @@
 //! `report.html`: a page without external resources that shows models in a browser.
 //!
 //! This module samples the data, so that the size of the page is bounded: it has at most 2 million
-//! points (24 MB) and 1 million keypoints (5 MB), and 8 MB of photos. `view/*.js` draw them, with
-//! three.js (`view/three`).
+//! points (24 MB) and 1 million keypoints (5 MB), and 8 MB of photos. The scripts beside it draw
+//! them, with three.js.
+//!
 //! The view frame has the mean up direction of the images as z and unit length such that 90 % of
 //! the points lie within a distance of 1 of the median. Models with a known world frame share one
 //! view frame, so that they can be compared.
-
-mod coding;
-pub(crate) mod depth_pictures;
-pub(crate) mod page_file;
-pub(crate) mod photos;
-pub(crate) mod table;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
-use tiepoint_eval::geometry::nalgebra::{Vector2, Vector3};
-use tiepoint_eval::geometry::numeric::median;
-use tiepoint_eval::geometry::{Rigid3, Sim3, so3};
-use tiepoint_io::colmap::read_model;
-use tiepoint_sfm::scene::{CameraId, ImageId, Reconstruction};
+use tiepoint_pipeline::eval::geometry::nalgebra::{Vector2, Vector3};
+use tiepoint_pipeline::eval::geometry::numeric::median;
+use tiepoint_pipeline::eval::geometry::{Rigid3, Sim3, so3};
+use tiepoint_pipeline::evaluation::evaluate_rig;
+use tiepoint_pipeline::io::colmap::read_model;
+use tiepoint_pipeline::sfm::scene::{CameraId, ImageId, Reconstruction};
+use tiepoint_pipeline::workspace::{REPORT, RIG, model_folder, read_times};
+use tiepoint_pipeline::{Error, Report};
 
-use crate::page::depth_pictures::DenseView;
-use crate::page::page_file::{refuse_foreign_page, write_page};
-use crate::workspace::REPORT;
-use crate::workspace::file_names::RIG;
-use crate::workspace::model_location::{model_folder, read_times};
-use crate::{Error, Report, Table, TableRow, evaluate_rig};
-use coding::{base64, evenly};
-use photos::ShownImage;
-pub(crate) use photos::Thumbnails;
+use crate::coding::{base64, evenly};
+use crate::depth_pictures::DenseView;
+use crate::page_file::{refuse_foreign_page, write_page};
+use crate::photos::{ShownImage, Thumbnails};
+use crate::{Table, TableRow};
 
 const PAGE: &str = "report.html";
 const TEMPLATE: &str = include_str!("page.html");
@@ -569,7 +563,7 @@ fn covisibility(model: &Reconstruction) -> Matrix {
 /// Baseline and relative rotation over time of each pair of cameras. `scale`: unit of the lengths
 /// per unit of the model.
 fn rigs(model: &Reconstruction, scale: f64) -> Vec<RigSeries> {
-    let series = |rig: crate::RigEvaluation| {
+    let series = |rig: tiepoint_pipeline::evaluation::RigEvaluation| {
         let step = rig.frames.div_ceil(MAX_IMAGES).max(1);
         let rotations = |axis: usize| {
             let rotations = rig.series.rotations_rad.iter().step_by(step);

@@ -3,15 +3,13 @@
 use std::path::Path;
 
 use rayon::prelude::*;
-use tiepoint_io::database::{Database, read_stage_rows};
-use tiepoint_sfm::VerifyOptions;
-use tiepoint_sfm::scene::{
+use tiepoint_pipeline::io::database::{Database, read_stage_rows};
+use tiepoint_pipeline::sfm::VerifyOptions;
+use tiepoint_pipeline::sfm::scene::{
     CorrespondenceGraph, ImageId, ImagePair, OriginalIds, Reconstruction, TwoView,
 };
-
-use crate::Error;
-use crate::stages::foreign_database::Pairs;
-use crate::workspace::database_scene;
+use tiepoint_pipeline::stages::ImportedPairs;
+use tiepoint_pipeline::{Error, workspace};
 
 /// Opens a database to add to it.
 ///
@@ -30,7 +28,7 @@ pub(super) fn open_to_add(path: &Path) -> Result<Database, Error> {
 
 /// The scene of a database without poses. Cameras and images have the ids of the database.
 pub(super) fn read_scene(database: &Database) -> Result<Reconstruction, Error> {
-    let mut scene = database_scene::read_scene(database)?;
+    let mut scene = workspace::read_scene(database)?;
     scene.original_ids = ids_of(database);
     Ok(scene)
 }
@@ -55,7 +53,7 @@ pub(super) fn read_graph(
     is_used: &(dyn Fn(ImageId) -> bool + Sync),
     seed: u64,
 ) -> Result<CorrespondenceGraph, Error> {
-    let pairs = Pairs::read(database)?;
+    let pairs = ImportedPairs::read(database)?;
     let verify = VerifyOptions::default();
     let tasks: Vec<ImagePair> = pairs
         .all

@@ -4,9 +4,10 @@ use std::fs;
 use std::io::Write;
 use std::path::Path;
 
-use tiepoint_store::{AtomicFile, Error as StoreError, Mark, may_be_replaced, write_file};
-
-use crate::Error;
+use tiepoint_pipeline::Error;
+use tiepoint_pipeline::store::{
+    AtomicFile, Error as StoreError, Mark, may_be_replaced, write_file,
+};
 
 /// Marks a page as written by this program.
 const MARK: Mark = Mark::Inside("<title>tiepoint</title>");

@@ -2,13 +2,12 @@
 
 use std::path::Path;
 
-use tiepoint_input::Rgb;
-use tiepoint_io::DenseMap;
-use tiepoint_io::ply::{self, Vertex};
-use tiepoint_sfm::scene::Reconstruction;
-
-use crate::Error;
-use crate::workspace::file_names::depth_map_path;
+use tiepoint_pipeline::Error;
+use tiepoint_pipeline::input::Rgb;
+use tiepoint_pipeline::io::DenseMap;
+use tiepoint_pipeline::io::ply::{self, Vertex};
+use tiepoint_pipeline::sfm::scene::Reconstruction;
+use tiepoint_pipeline::workspace::depth_map_path;
 
 /// Largest number of pictures of a page, and their largest side: together some 500 kB.
 const MAX_PICTURES: usize = 12;

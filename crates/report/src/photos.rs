@@ -5,13 +5,12 @@ use std::convert::Infallible;
 use std::path::Path;
 
 use serde::Serialize;
-use tiepoint_input::parallel::{budget_bytes, for_each_within_budget};
-use tiepoint_input::{ImageFolder, Rgb};
-use tiepoint_sfm::scene::{Camera, Image, Keypoint, Reconstruction};
+use tiepoint_pipeline::input::parallel::{budget_bytes, for_each_within_budget};
+use tiepoint_pipeline::input::{ImageFolder, Rgb};
+use tiepoint_pipeline::sfm::scene::{Camera, Image, Keypoint, Reconstruction};
+use tiepoint_pipeline::workspace::{decoder_bytes, fingerprints_of, inputs_of, is_unchanged};
 
 use super::coding::{base64, evenly};
-use crate::workspace::model_photos::{decoder_bytes, fingerprints_of, is_unchanged};
-use crate::workspace::{current_records, is_workspace};
 
 /// Largest number of photos of a model in a page: all are decoded, which takes most of the time.
 const MAX_PHOTOS: usize = 500;
@@ -37,8 +36,7 @@ impl Thumbnails {
     /// another size than its camera have none, and so have all if `workspace` is only a folder with
     /// a model: a page without photos is better than no page.
     pub fn of_workspace(workspace: &Path, model: &Reconstruction, max_bytes: usize) -> Self {
-        let records = is_workspace(workspace).then(|| current_records(workspace).ok()).flatten();
-        let inputs = records.map_or_else(Vec::new, |records| records.inputs);
+        let inputs = inputs_of(workspace).unwrap_or_default();
         // The inputs of a workspace from elsewhere might name anybody's photos.
         let known = fingerprints_of(workspace).unwrap_or_default();
         let Ok(folder) = ImageFolder::open(&inputs, None) else { return Self::default() };

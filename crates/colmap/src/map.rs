@@ -6,20 +6,19 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use serde::Serialize;
-use tiepoint_input::ImageFolder;
-use tiepoint_io::colmap::{Format, read_model};
-use tiepoint_io::database::Database;
-use tiepoint_sfm::scene::{CorrespondenceGraph, ImageId, Reconstruction};
-use tiepoint_sfm::{
+use tiepoint_pipeline::input::ImageFolder;
+use tiepoint_pipeline::io::colmap::{Format, read_model};
+use tiepoint_pipeline::io::database::Database;
+use tiepoint_pipeline::sfm::scene::{CorrespondenceGraph, ImageId, Reconstruction};
+use tiepoint_pipeline::sfm::{
     self as sfm, Existing, KnownFrame, KnownRigs, MappedModel, MapperOptions, Transferred,
     transfer_model,
 };
+use tiepoint_pipeline::stages::{color_points, named_event};
+use tiepoint_pipeline::{Error, Event, Stage, Watch, emit};
 
 use super::output::{ModelFolders, write_model_with_project};
 use super::scene::{ids_of, read_graph, read_scene};
-use crate::stages::colors::color_points;
-use crate::stages::mapping::translate;
-use crate::{Error, Event, Stage, Watch, emit};
 
 /// Options of [`map`].
 #[derive(Clone, Debug)]
@@ -143,7 +142,7 @@ fn run(
     let scene = extended.as_ref().map_or(scene, |extended| &extended.scene);
     let name = |id| scene.image(id).name.as_str();
     let mut notified = |event: &sfm::Event| {
-        translate(event, &name).map_or(ControlFlow::Continue(()), |event| watch(&event))
+        named_event(event, &name).map_or(ControlFlow::Continue(()), |event| watch(&event))
     };
     let Some(path) = &options.input else {
         return Ok(match known_rigs(database, options.refine_extrinsics)? {
