@@ -1,16 +1,13 @@
 #![doc = include_str!("../README.md")]
 
-mod adjust;
 mod error;
 mod event;
 mod frame_names;
-mod image_grid;
 mod known_rigs;
 mod loop_closure;
 mod mapped_model;
 mod mapper;
 mod model_tools;
-mod noise;
 mod options;
 mod register;
 mod rigs;
@@ -19,10 +16,6 @@ mod timeline;
 mod tracks;
 mod two_view;
 
-pub use adjust::{
-    AdjustOptions, RefineIntrinsics, Scope, Shifted, Term, TermContext, Variables, adjust,
-    fix_gauge,
-};
 pub use error::Error;
 pub use event::{Event, Failure, OptionalStage};
 pub use frame_names::{natural_order, pairs_by_name};
@@ -33,7 +26,6 @@ pub use model_tools::{
     BoundingBox, MergeOutcome, ModelAlignment, Transferred, align_models, crop, merge_model,
     transfer_model,
 };
-pub use noise::keypoint_sigma_px;
 pub use options::{MapperOptions, RigMode};
 pub use register::{Localization, QueryCamera, RegisterOptions, localize_image, register_image};
 pub use rigs::{
@@ -43,6 +35,8 @@ pub use rigs::{
     growing_links, relative_poses, rig_candidates, rig_pairs, sensor_pairs,
 };
 pub use rolling_shutter::{Readout, RollingShutter, RowPoses, row_poses};
+pub use tiepoint_adjust as adjust;
+pub use tiepoint_adjust::{AdjustOptions, RefineIntrinsics, Scope, Term, adjust, fix_gauge};
 pub use tiepoint_ba as ba;
 pub use tiepoint_geometry as geometry;
 pub use tiepoint_matching as matching;
@@ -53,6 +47,6 @@ pub use tracks::{
     held_out_rms_px, hold_out_tracks, merge_tracks, retriangulate, triangulate_image,
 };
 pub use two_view::{
-    FocalPrior, ImageObservations, InitialPair, VerifyOptions, estimate_focal_lengths,
-    focal_priors, initial_pairs, verify_pair,
+    ImageObservations, InitialPair, VerifyOptions, estimate_focal_lengths, focal_priors,
+    initial_pairs, verify_pair,
 };

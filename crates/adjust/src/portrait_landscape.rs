@@ -63,10 +63,10 @@ impl<const N: usize> Factor<N> for SharedLens<N> {
 }
 
 /// The key of a camera's parameters. Its type depends on the camera model.
-pub(super) type CameraKey = (CameraId, Box<dyn Any>);
+pub(crate) type CameraKey = (CameraId, Box<dyn Any>);
 
 /// Adds the factors of the cameras of a pair that are both in the problem.
-pub(super) fn add_portrait_landscape(
+pub(crate) fn add_portrait_landscape(
     problem: &mut Problem,
     model: &Reconstruction,
     keys: &[CameraKey],
@@ -108,7 +108,7 @@ fn shared_lens<const N: usize>(intrinsics: &Intrinsics, params: &SVector<f64, N>
 
 /// Copies the shared parameters to cameras that no registered image has yet, so that their first
 /// image is registered with the lens as it is known.
-pub(super) fn copy_to_unused(model: &mut Reconstruction) {
+pub(crate) fn copy_to_unused(model: &mut Reconstruction) {
     let is_used = |model: &Reconstruction, camera: CameraId| {
         model.registered().any(|(_, image, _)| image.camera == camera)
     };
@@ -126,51 +126,5 @@ pub(super) fn copy_to_unused(model: &mut Reconstruction) {
         for (i, j) in shared_params(source.kind()) {
             model.camera_mut(to).intrinsics.params_mut()[j] = source.params()[i];
         }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use tiepoint_ba::testing::check_jacobians;
-    use tiepoint_scene::{Camera, Image};
-
-    #[test]
-    fn focal_lengths_change_places_and_radial_coefficients_stay() {
-        assert_eq!(shared_params(CameraModelKind::SimpleRadial), [(0, 0), (3, 3)]);
-        let opencv = shared_params(CameraModelKind::Opencv);
-        assert_eq!(opencv, [(0, 1), (1, 0), (4, 4), (5, 5)]);
-        let fisheye = shared_params(CameraModelKind::OpencvFisheye);
-        assert_eq!(fisheye, [(0, 1), (1, 0), (4, 4), (5, 5), (6, 6), (7, 7)]);
-        assert_eq!(shared_params(CameraModelKind::Eucm), [(0, 1), (1, 0), (4, 4), (5, 5)]);
-    }
-
-    #[test]
-    fn jacobians_of_the_factor() {
-        let params = [500.0, 510.0, 320.0, 240.0, 0.1, -0.2, 0.01, 0.02];
-        let intrinsics = Intrinsics::new(CameraModelKind::Opencv, &params).unwrap();
-        let one = SVector::<f64, 8>::from(params);
-        let other = one.map(|param| 1.1 * param + 0.1);
-        // Large weights would hide errors behind rounding.
-        let mut factor = shared_lens(&intrinsics, &one);
-        factor.weights.fill(2.0);
-        check_jacobians(&factor, (one, other), 1e-6).unwrap();
-    }
-
-    #[test]
-    fn an_unused_camera_follows_the_used_one() {
-        let mut model = Reconstruction::default();
-        let [one, other] = [(640, 480), (480, 640)].map(|(width, height)| {
-            let intrinsics = Intrinsics::centred(CameraModelKind::Opencv, 500.0, width, height);
-            model.add_camera(Camera { intrinsics, width, height, has_focal_prior: false })
-        });
-        model.portrait_landscape_pairs.push([one, other]);
-        let image = model.add_image(Image::new("0", one, Vec::new()));
-        model.register(image, tiepoint_geometry::Rigid3::identity());
-        let refined = [400.0, 401.0, 318.0, 242.0, 0.1, 0.2, 0.3, 0.4];
-        model.camera_mut(one).intrinsics.params_mut().copy_from_slice(&refined);
-        copy_to_unused(&mut model);
-        let expected = [401.0, 400.0, 240.0, 320.0, 0.1, 0.2, 0.0, 0.0];
-        assert_eq!(model.camera(other).intrinsics.params(), expected);
     }
 }
