@@ -3,7 +3,7 @@
 mod error;
 mod event;
 mod frame_names;
-mod known_rigs;
+mod known_frames;
 mod loop_closure;
 mod mapped_model;
 mod mapper;
@@ -19,7 +19,6 @@ mod two_view;
 pub use error::Error;
 pub use event::{Event, Failure, OptionalStage};
 pub use frame_names::{natural_order, pairs_by_name};
-pub use known_rigs::{KnownFrame, KnownRigs};
 pub use mapped_model::MappedModel;
 pub use mapper::{Existing, extend, map, map_with_rigs};
 pub use model_tools::{
@@ -42,6 +41,7 @@ pub use tiepoint_geometry as geometry;
 pub use tiepoint_matching as matching;
 pub use tiepoint_rig as rig;
 pub use tiepoint_scene as scene;
+pub use tiepoint_scene::{KnownFrame, KnownRigs};
 pub use tracks::{
     FilterOptions, TrackOptions, complete_tracks, filter_all_points, filter_points,
     held_out_rms_px, hold_out_tracks, merge_tracks, retriangulate, triangulate_image,

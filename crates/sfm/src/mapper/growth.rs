@@ -10,13 +10,13 @@ use tiepoint_adjust::{
     AdjustOptions, FocalPrior, RefineIntrinsics, Scope, Term, adjust, keep_going, relative_noise,
 };
 use tiepoint_geometry::{Rigid3, Rng};
-use tiepoint_scene::{CorrespondenceGraph, ImageId, ImagePair, Reconstruction};
+use tiepoint_scene::{CorrespondenceGraph, ImageId, ImagePair, KnownRigs, Reconstruction};
 
 use super::refinement_schedule::RefinementSchedule;
 use super::solution::Solution;
 use crate::Error;
 use crate::event::{Event, Watch, notify};
-use crate::known_rigs::{KnownFrames, KnownRigs};
+use crate::known_frames::KnownFrames;
 use crate::options::{MapperOptions, RigMode};
 use crate::register::NextBestView;
 use crate::rigs::{BaselineLink, BaselineTerm, RigPairs, growing_links};
