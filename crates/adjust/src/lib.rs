@@ -10,6 +10,7 @@ mod portrait_landscape;
 mod problem;
 mod rigid_frames;
 mod selection;
+mod shared_lens;
 mod solve;
 mod term;
 mod triangulation;

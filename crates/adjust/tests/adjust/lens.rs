@@ -1,10 +1,13 @@
 //! Priors on intrinsics, and two cameras that are one lens in portrait and landscape format.
 
 use tiepoint_adjust::{AdjustOptions, RefineIntrinsics, Scope, adjust, keep_going};
+use tiepoint_ba::testing::check_jacobians;
+use tiepoint_geometry::nalgebra::SVector;
 use tiepoint_geometry::{CameraModelKind, Intrinsics};
 use tiepoint_scene::{CameraId, Reconstruction};
 
 use crate::common::{camera, scene};
+use crate::shared_lens::shared_lens;
 
 const EVERYTHING: RefineIntrinsics = RefineIntrinsics { aspect: true, ..RefineIntrinsics::ALL };
 
@@ -124,4 +127,16 @@ fn two_used_cameras_share_their_lens() {
         let together = differences(&[[CameraId(0), CameraId(1)]]);
         assert!(together.iter().all(|d| *d < MAX_DIFFERENCE), "{kind:?}: {together:?}");
     }
+}
+
+#[test]
+fn jacobians_of_the_shared_lens() {
+    let params = [500.0, 510.0, 320.0, 240.0, 0.1, -0.2, 0.01, 0.02];
+    let intrinsics = Intrinsics::new(CameraModelKind::Opencv, &params).unwrap();
+    let one = SVector::<f64, 8>::from(params);
+    let other = one.map(|param| 1.1 * param + 0.1);
+    // Large weights would hide errors behind rounding.
+    let mut factor = shared_lens(&intrinsics, &one);
+    factor.weights.fill(2.0);
+    check_jacobians(&factor, (one, other), 1e-6).unwrap();
 }

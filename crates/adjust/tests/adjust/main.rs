@@ -5,4 +5,6 @@
 mod common;
 mod lens;
 mod selection;
+#[path = "../../src/shared_lens.rs"]
+mod shared_lens;
 mod terms;
