@@ -30,7 +30,8 @@ RESULTS = PAGES / "results"
 SEEDS = [0, 1, 2]
 # Instruction sets on which times depend.
 INSTRUCTION_SETS = ["avx2", "fma", "avx512f", "avx512_vnni", "avx_vnni"]
-LIBRARIES = ["geometry", "features", "matching", "ba", "rig", "scene", "sfm", "io", "pipeline"]
+LIBRARIES = ["geometry", "features", "matching", "ba", "rig", "scene", "adjust", "sfm", "io",
+             "pipeline"]
 
 
 def data():
@@ -552,7 +553,7 @@ TABLES = {
     ),
     "splats": (
         "splats.md",
-        ["geometry", "sfm", "io", "pipeline", "synth"],
+        ["geometry", "adjust", "sfm", "io", "pipeline", "synth"],
         measure_splats,
         table_splats,
         ONE,

@@ -28,7 +28,8 @@ const ARROWS: &[(&str, &[&str])] = &[
     ("io", &["store", "scene", "geometry", "features"]),
     ("input", &["io", "store", "scene", "geometry", "matching"]),
     ("synth", &["simd", "scene", "geometry", "features"]),
-    ("sfm", &["features", "matching", "geometry", "ba", "rig", "scene"]),
+    ("adjust", &["ba", "geometry", "scene"]),
+    ("sfm", &["features", "matching", "geometry", "ba", "rig", "scene", "adjust"]),
     ("pipeline", &["sfm", "dense", "io", "input", "store", "eval"]),
     ("report", &["pipeline"]),
     ("colmap", &["pipeline"]),
@@ -38,13 +39,13 @@ const ARROWS: &[(&str, &[&str])] = &[
 
 const LIBRARIES: &[&str] = &[
     "simd", "geometry", "features", "matching", "ba", "rig", "scene", "eval", "store", "io",
-    "input", "synth", "sfm", "dense", "pipeline", "report", "colmap",
+    "input", "synth", "adjust", "sfm", "dense", "pipeline", "report", "colmap",
 ];
 
 /// Crates whose dependencies with default features have no C code.
 const PURE: &[&str] = &[
     "simd", "geometry", "features", "matching", "ba", "rig", "scene", "eval", "store", "io",
-    "input", "synth", "sfm", "dense",
+    "input", "synth", "adjust", "sfm", "dense",
 ];
 
 /// Packages that name a C compiler and call none: `generator`, a dependency of kiddo, only has an

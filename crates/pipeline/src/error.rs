@@ -507,8 +507,8 @@ impl Error {
     }
 
     /// Converts an error of the adjustment of the model at `path`.
-    pub fn adjusting(path: &Path) -> impl Fn(tiepoint_sfm::Error) -> Self {
-        move |cause| match cause {
+    pub fn adjusting<E: Into<tiepoint_sfm::Error>>(path: &Path) -> impl Fn(E) -> Self {
+        move |cause| match cause.into() {
             tiepoint_sfm::Error::Cancelled => Self::Cancelled,
             cause => Self::Unadjustable { path: path.to_owned(), cause },
         }

@@ -52,18 +52,6 @@ pub enum Error {
         /// Width and height in the scene, in pixels.
         in_scene: [u32; 2],
     },
-    /// Fewer than two registered images have a common point.
-    #[error(
-        "nothing to adjust: {images} posed images, {points} points, {observations} observations"
-    )]
-    NothingToAdjust {
-        /// Registered images.
-        images: usize,
-        /// Points.
-        points: usize,
-        /// Observations.
-        observations: usize,
-    },
     /// The rolling-shutter correction left too few images with observations.
     #[error("only {after} of {before} images keep observations")]
     ImagesLost {
@@ -86,19 +74,12 @@ pub enum Error {
         /// Image pairs of the loop.
         pairs: usize,
     },
-    /// The terms compose the pose of an image twice, or of an image that no
-    /// [`crate::Term::composed_images`] named.
-    #[error(
-        "the terms of an adjustment compose the pose of an image twice, or of an image that they \
-        did not name"
-    )]
-    ComposedPoses,
-    /// Error of a caller's own term.
+    /// Error of a bundle adjustment.
     #[error(transparent)]
-    Term(Box<dyn std::error::Error + Send + Sync>),
-    /// Error of the optimiser.
+    Adjustment(#[from] tiepoint_adjust::Error),
+    /// Error of the optimiser outside of bundle adjustment, such as that of a pose graph.
     #[error(transparent)]
-    Adjustment(#[from] tiepoint_ba::Error),
+    Optimiser(#[from] tiepoint_ba::Error),
     /// The callback asked to stop.
     #[error("stopped on request")]
     Cancelled,

@@ -1,16 +1,13 @@
 #![doc = include_str!("../README.md")]
 
-mod adjust;
 mod error;
 mod event;
 mod frame_names;
-mod image_grid;
-mod known_rigs;
+mod known_frames;
 mod loop_closure;
 mod mapped_model;
 mod mapper;
 mod model_tools;
-mod noise;
 mod options;
 mod register;
 mod rigs;
@@ -19,21 +16,15 @@ mod timeline;
 mod tracks;
 mod two_view;
 
-pub use adjust::{
-    AdjustOptions, RefineIntrinsics, Scope, Shifted, Term, TermContext, Variables, adjust,
-    fix_gauge,
-};
 pub use error::Error;
 pub use event::{Event, Failure, OptionalStage};
 pub use frame_names::{natural_order, pairs_by_name};
-pub use known_rigs::{KnownFrame, KnownRigs};
 pub use mapped_model::MappedModel;
 pub use mapper::{Existing, extend, map, map_with_rigs};
 pub use model_tools::{
     BoundingBox, MergeOutcome, ModelAlignment, Transferred, align_models, crop, merge_model,
     transfer_model,
 };
-pub use noise::keypoint_sigma_px;
 pub use options::{MapperOptions, RigMode};
 pub use register::{Localization, QueryCamera, RegisterOptions, localize_image, register_image};
 pub use rigs::{
@@ -43,16 +34,19 @@ pub use rigs::{
     growing_links, relative_poses, rig_candidates, rig_pairs, sensor_pairs,
 };
 pub use rolling_shutter::{Readout, RollingShutter, RowPoses, row_poses};
+pub use tiepoint_adjust as adjust;
+pub use tiepoint_adjust::{AdjustOptions, RefineIntrinsics, Scope, Term, adjust, fix_gauge};
 pub use tiepoint_ba as ba;
 pub use tiepoint_geometry as geometry;
 pub use tiepoint_matching as matching;
 pub use tiepoint_rig as rig;
 pub use tiepoint_scene as scene;
+pub use tiepoint_scene::{KnownFrame, KnownRigs};
 pub use tracks::{
     FilterOptions, TrackOptions, complete_tracks, filter_all_points, filter_points,
     held_out_rms_px, hold_out_tracks, merge_tracks, retriangulate, triangulate_image,
 };
 pub use two_view::{
-    FocalPrior, ImageObservations, InitialPair, VerifyOptions, estimate_focal_lengths,
-    focal_priors, initial_pairs, verify_pair,
+    ImageObservations, InitialPair, VerifyOptions, estimate_focal_lengths, focal_priors,
+    initial_pairs, verify_pair,
 };

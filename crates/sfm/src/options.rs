@@ -1,8 +1,8 @@
 //! Options of the mapper.
 
+use tiepoint_adjust::RefineIntrinsics;
 use tiepoint_geometry::Loss;
 
-use crate::adjust::RefineIntrinsics;
 use crate::register::RegisterOptions;
 use crate::rolling_shutter::Readout;
 use crate::tracks::{FilterOptions, TrackOptions};

@@ -134,7 +134,8 @@ fn adjust_bal(
         ));
     }
     let poses: Vec<Key<Rigid3>> = cameras.iter().map(|(_, pose)| *pose).collect();
-    sfm::fix_gauge(&mut problem, &poses, &vec![false; poses.len()], None)?;
+    sfm::fix_gauge(&mut problem, &poses, &vec![false; poses.len()], None)
+        .map_err(sfm::Error::from)?;
     let points: Vec<Key<Vector3<f64>>> =
         bal.points.iter().map(|xyz| problem.add_landmark(*xyz)).collect();
     for BalObservation { camera, point, pixel } in &bal.observations {
@@ -149,7 +150,7 @@ fn adjust_bal(
     };
     let summary = Solver::new(&problem, &options)
         .and_then(|mut solver| solver.solve(&mut problem, &mut watch))
-        .map_err(|cause| Error::adjusting(path)(cause.into()))?;
+        .map_err(Error::adjusting(path))?;
     let report = AdjustReport::new(&summary, start, cameras.len(), points.len())?;
     if let Some(output) = output {
         for (camera, (params, pose)) in bal.cameras.iter_mut().zip(&cameras) {

@@ -8,6 +8,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use rayon::prelude::*;
+use tiepoint_adjust::keep_going;
 use tiepoint_ba::factors::{Between, Relative};
 use tiepoint_ba::{EliminationOrder, Factor, Key, Options, Problem, Solver};
 use tiepoint_geometry::nalgebra::{Vector2, Vector3};
@@ -17,7 +18,6 @@ use tiepoint_scene::{ImageId, ImagePair, Match, PointId, Reconstruction, TwoView
 
 use super::pairs::CovisibilityGraph;
 use crate::Error;
-use crate::adjust::keep_going;
 
 /// Inlier threshold of a loop constraint, in pixels; the same as for the creation of points.
 const MAX_ERROR_PX: f64 = 12.0;

@@ -3,11 +3,11 @@
 
 use std::ops::ControlFlow;
 
+use tiepoint_adjust::RefineIntrinsics;
 use tiepoint_scene::{CameraId, CorrespondenceGraph, Reconstruction};
 
 use super::growth::Mapper;
 use super::support::support;
-use crate::adjust::RefineIntrinsics;
 use crate::options::MapperOptions;
 use crate::two_view::with_focal;
 

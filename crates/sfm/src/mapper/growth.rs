@@ -6,16 +6,17 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use tiepoint_adjust::{
+    AdjustOptions, FocalPrior, RefineIntrinsics, Scope, Term, adjust, keep_going, relative_noise,
+};
 use tiepoint_geometry::{Rigid3, Rng};
-use tiepoint_scene::{CorrespondenceGraph, ImageId, ImagePair, Reconstruction};
+use tiepoint_scene::{CorrespondenceGraph, ImageId, ImagePair, KnownRigs, Reconstruction};
 
 use super::refinement_schedule::RefinementSchedule;
 use super::solution::Solution;
 use crate::Error;
-use crate::adjust::{AdjustOptions, RefineIntrinsics, Scope, Term, adjust, keep_going};
 use crate::event::{Event, Watch, notify};
-use crate::known_rigs::{KnownFrames, KnownRigs};
-use crate::noise::relative_noise;
+use crate::known_frames::KnownFrames;
 use crate::options::{MapperOptions, RigMode};
 use crate::register::NextBestView;
 use crate::rigs::{BaselineLink, BaselineTerm, RigPairs, growing_links};
@@ -23,7 +24,6 @@ use crate::tracks::{
     complete_tracks, filter_all_points, filter_images, filter_points, merge_tracks,
     triangulate_image, update_tracks,
 };
-use crate::two_view::FocalPrior;
 
 /// A refinement ends when the number of observations and the cost change by less than this
 /// fraction.
@@ -196,8 +196,8 @@ impl<'a> Mapper<'a> {
             terms,
             &mut keep_going,
         ) {
-            Ok(_) | Err(Error::NothingToAdjust { .. }) => {}
-            Err(error) => return Err(error),
+            Ok(_) | Err(tiepoint_adjust::Error::NothingToAdjust { .. }) => {}
+            Err(error) => return Err(error.into()),
         }
         let points = self.solution.model.points_observed_by(&local_images);
         complete_tracks(self.graph, &mut self.solution.model, &points, &self.options.tracks);

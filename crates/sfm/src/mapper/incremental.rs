@@ -4,19 +4,19 @@
 use std::collections::BTreeSet;
 use std::ops::ControlFlow;
 
-use tiepoint_scene::{CorrespondenceGraph, ImageId, Reconstruction};
+use tiepoint_adjust::FocalPrior;
+use tiepoint_scene::{CorrespondenceGraph, ImageId, KnownRigs, Reconstruction};
 
 use super::focal_trials::choose_focal_lengths;
 use super::growth::Mapper;
 use super::solution::Solution;
 use crate::Error;
 use crate::event::{Event, OptionalStage, Watch, notify};
-use crate::known_rigs::KnownRigs;
 use crate::mapped_model::MappedModel;
 use crate::options::{MapperOptions, RigMode};
 use crate::rigs::{CalibratedRig, Descriptors, merge_by_motion, rig_pairs};
 use crate::rolling_shutter::row_poses;
-use crate::two_view::{FocalPrior, estimate_focal_lengths, focal_priors};
+use crate::two_view::{estimate_focal_lengths, focal_priors};
 
 /// Maps all images. Each connected component gives a model; the model with the most images comes
 /// first. `scene` gives cameras and images with keypoints; its poses and points are ignored.

@@ -7,13 +7,12 @@
 
 use tiepoint_geometry::numeric::median;
 use tiepoint_geometry::{Rigid3, Sim3};
-use tiepoint_scene::{Frame, ImageId, Reconstruction, Rig};
+use tiepoint_scene::{Frame, ImageId, KnownFrame, KnownRigs, Reconstruction, Rig};
 
 use super::growth::Mapper;
 use super::refinement_schedule::RefinementSchedule;
 use crate::Error;
 use crate::event::Watch;
-use crate::known_rigs::{KnownFrame, KnownRigs};
 use crate::tracks::triangulate_image;
 
 /// Maximum angle between known and estimated rotations and between known and estimated directions

@@ -90,10 +90,10 @@ mod tests {
     use tiepoint_synth::MatchOptions;
 
     use super::*;
-    use crate::adjust::RefineIntrinsics;
     use crate::mapper::solution::Solution;
     use crate::mapper::test_scene::scene;
     use crate::options::MapperOptions;
+    use tiepoint_adjust::RefineIntrinsics;
 
     /// All pairs get wrong matches. No closure succeeds, and the model stays unchanged.
     #[test]

@@ -2,6 +2,7 @@
 
 use std::ops::ControlFlow;
 
+use tiepoint_adjust::{RefineIntrinsics, Scope, adjust, keep_going};
 use tiepoint_geometry::Rigid3;
 use tiepoint_scene::{ImageId, ImagePair};
 
@@ -9,7 +10,6 @@ use super::growth::Mapper;
 use super::refinement_schedule::RefinementSchedule;
 use super::support::support;
 use crate::Error;
-use crate::adjust::{RefineIntrinsics, Scope, adjust, keep_going};
 use crate::event::{Event, Watch, notify};
 use crate::options::MapperOptions;
 use crate::tracks::{filter_all_points, triangulate_image};

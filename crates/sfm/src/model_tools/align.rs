@@ -10,6 +10,7 @@
 use std::collections::BTreeMap;
 
 use rayon::prelude::*;
+use tiepoint_adjust::keep_going;
 use tiepoint_ba::{EliminationOrder, Factor, Linear, Options, Problem, Refs, Solver};
 use tiepoint_geometry::nalgebra::{Matrix2x3, Matrix3, SMatrix, Vector2, Vector3};
 use tiepoint_geometry::numeric::median;
@@ -17,7 +18,6 @@ use tiepoint_geometry::{CameraModel, Intrinsics, Loss, Rigid3, Sim3, so3, with_c
 use tiepoint_scene::{ImageId, PointId, Reconstruction};
 
 use crate::Error;
-use crate::adjust::keep_going;
 
 /// Maximum number of hypotheses, evenly spread over the common images.
 const MAX_HYPOTHESES: usize = 200;

@@ -2,13 +2,14 @@
 
 use std::collections::BTreeMap;
 
+use tiepoint_adjust::triangulate_observations;
 use tiepoint_scene::{
     Camera, CameraId, Image, ImageId, Observation, PointId, Reconstruction, Track,
 };
 
 use super::align::{ModelAlignment, align_models, common_images, have_same_keypoints};
 use crate::Error;
-use crate::tracks::{FilterOptions, filter_points, triangulate_observations};
+use crate::tracks::{FilterOptions, filter_points};
 
 /// The effect of a merge.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -11,10 +11,8 @@ use tiepoint_geometry::estimate::{RigCamera, RigObservation};
 use tiepoint_geometry::nalgebra::{Vector2, Vector3};
 use tiepoint_geometry::{RansacOptions, Report, Rigid3, estimate};
 use tiepoint_scene::{
-    Camera, CorrespondenceGraph, Frame, ImageId, Observation, PointId, Reconstruction,
+    Camera, CorrespondenceGraph, Frame, ImageId, KnownFrame, Observation, PointId, Reconstruction,
 };
-
-use crate::known_rigs::KnownFrame;
 
 /// A second pose is considered if it has at least this fraction of the first pose's inliers. It is
 /// selected if its recall is larger by the factor `MIN_ADVANTAGE`, or larger at all if only the

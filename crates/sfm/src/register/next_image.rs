@@ -16,7 +16,7 @@ use tiepoint_scene::{CorrespondenceGraph, ImageId, Reconstruction};
 use super::absolute_pose::{Placement, RegisterOptions, RegistrationUnit, estimate_placement};
 use super::continuity::Timelines;
 use super::visibility::{Visibility, visibility};
-use crate::known_rigs::KnownFrames;
+use crate::known_frames::KnownFrames;
 
 /// Maximum number of failed registrations of an image between resets, and of registrations of an
 /// image that filtering removed again.

@@ -4,9 +4,8 @@
 //! Every occupied cell of level l scores 2ˡ × 2ˡ, so that points concentrated in one corner score
 //! less than as many distributed points.
 
+use tiepoint_adjust::grid_cell;
 use tiepoint_scene::{CorrespondenceGraph, ImageId, Observation, Reconstruction};
-
-use crate::image_grid::cell;
 
 /// Levels of the pyramid. The finest has 2⁶ × 2⁶ cells, as in COLMAP.
 const NUM_LEVELS: u32 = 6;
@@ -34,7 +33,7 @@ pub(crate) fn visibility(
         let targets = graph.correspondences(Observation { image, keypoint: index as u32 });
         if targets.iter().any(|t| model.image(t.image).point_of(t.keypoint).is_some()) {
             num_points += 1;
-            occupied[cell(camera, &keypoint.pixel, side)] = true;
+            occupied[grid_cell(camera, &keypoint.pixel, side)] = true;
         }
     }
     Visibility { num_points, score: pyramid_score(occupied, side) }

@@ -23,6 +23,7 @@
 
 use std::collections::BTreeSet;
 
+use tiepoint_adjust::AdjustOptions;
 use tiepoint_rig::{Clock, relative_pose_statistics};
 use tiepoint_scene::{ImageId, Reconstruction};
 
@@ -38,7 +39,6 @@ use super::sensor_pair::{ClockState, SensorPair, sensor_pairs};
 use super::sigma_selection::{ConstrainedModel, SigmaSelection};
 use super::solution::{CalibratedCamera, CalibratedRig, SplitRepair};
 use crate::Error;
-use crate::adjust::AdjustOptions;
 use crate::options::RigMode;
 use crate::tracks::hold_out_tracks;
 

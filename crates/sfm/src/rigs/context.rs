@@ -1,12 +1,12 @@
 //! State shared by the estimation steps of the rig, and joint refinement of a model and its
 //! extrinsics.
 
+use tiepoint_adjust::AdjustOptions;
 use tiepoint_scene::{CorrespondenceGraph, Reconstruction};
 
 use super::extrinsics::RigExtrinsics;
 use super::extrinsics_term::adjust_with_extrinsics;
 use crate::Error;
-use crate::adjust::AdjustOptions;
 use crate::tracks::{FilterOptions, TrackOptions, filter_all_points, update_tracks};
 
 /// Factor on the merge threshold of tracks directly after cameras moved relative to each other.

@@ -1,5 +1,6 @@
 //! Covariance of the rig extrinsics and clocks.
 
+use tiepoint_adjust::{AdjustOptions, Scope, build_problem, noise_of_fit};
 use tiepoint_ba::{AnyKey, Key};
 use tiepoint_geometry::{Rigid3, so3};
 use tiepoint_rig::Clock;
@@ -8,8 +9,6 @@ use tiepoint_scene::Reconstruction;
 use super::extrinsics::{ExtrinsicsCovariance, RigExtrinsics};
 use super::extrinsics_term::ExtrinsicsTerm;
 use crate::Error;
-use crate::adjust::{AdjustOptions, Scope, build};
-use crate::noise::noise_of_fit;
 use crate::tracks::without_points_at_infinity;
 
 /// Returns the covariance of each camera's extrinsics and clock; `None` if the information matrix
@@ -29,7 +28,7 @@ pub(super) fn extrinsics_covariances(
         .map(|extrinsics| extrinsics.with_autocorrelation(model).scaled(1.0 / noise))
         .collect();
     let mut term = ExtrinsicsTerm::new(&mut scaled);
-    let variables = build(model, &Scope::Global, options, &mut [&mut term])?;
+    let variables = build_problem(model, &Scope::Global, options, &mut [&mut term])?;
     let problem = variables.problem();
     let of = |(extrinsics, clock): &(Key<Rigid3>, Option<Key<Clock>>)| {
         let mut keys: Vec<AnyKey> = vec![(*extrinsics).into()];

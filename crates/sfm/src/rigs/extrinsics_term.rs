@@ -3,6 +3,9 @@
 
 use std::collections::BTreeMap;
 
+use tiepoint_adjust::{
+    AdjustOptions, Error, Scope, Term, TermContext, Variables, adjust, keep_going,
+};
 use tiepoint_ba::factors::Prior;
 use tiepoint_ba::{EliminationOrder, Key, Problem, Summary};
 use tiepoint_geometry::nalgebra::{Matrix3, Vector3};
@@ -12,8 +15,6 @@ use tiepoint_scene::{ImageId, Reconstruction};
 
 use super::extrinsics::{RigConstraint, RigExtrinsics};
 use super::sensor_pair::{ClockState, ReferencePose};
-use crate::Error;
-use crate::adjust::{AdjustOptions, Scope, Term, TermContext, Variables, adjust, keep_going};
 
 /// Prior standard deviations of the clock offset around its initial estimate, and of the drift
 /// (quartz: tens of parts per million).

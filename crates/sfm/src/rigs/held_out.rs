@@ -1,8 +1,7 @@
 //! Model comparison by the reprojection error of tracks that are held out of the adjustment.
 
+use tiepoint_adjust::triangulate_observations;
 use tiepoint_scene::{Observation, Reconstruction};
-
-use crate::tracks::triangulate_observations;
 
 /// Truncation of the reprojection errors of held-out observations, in pixels.
 const MAX_HELD_OUT_ERROR_PX: f64 = 4.0;

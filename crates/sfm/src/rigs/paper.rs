@@ -2,14 +2,13 @@
 
 use std::collections::BTreeMap;
 
+use tiepoint_adjust::{Error, Term, TermContext, Variables};
 use tiepoint_ba::{EliminationOrder, Key};
 use tiepoint_geometry::{Loss, Rigid3};
 use tiepoint_rig::{Baseline, RelativePose, paper};
 use tiepoint_scene::{ImageId, Reconstruction};
 
 use super::pairs::{RigPair, RigPairs, relative_poses};
-use crate::Error;
-use crate::adjust::{Term, TermContext, Variables};
 
 /// Equality of the relative poses of two consecutive pairs: cost ½ w ‖p_i − p_{i+1}‖².
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -4,6 +4,7 @@
 //! The poses of these cameras are composed of the reference camera's pose and the extrinsics.
 //! Extrinsics, intrinsics and points are adjusted.
 
+use tiepoint_adjust::AdjustOptions;
 use tiepoint_ba::Summary;
 use tiepoint_geometry::Rigid3;
 use tiepoint_scene::{CameraId, Reconstruction};
@@ -14,7 +15,6 @@ use super::frames::add_frames;
 use super::pairs::RigPair;
 use super::sensor_pair::{ReferencePose, ReferencedImage, SensorPair};
 use crate::Error;
-use crate::adjust::AdjustOptions;
 use crate::tracks::{FilterOptions, filter_all_points};
 
 /// A camera with a rigid constraint.

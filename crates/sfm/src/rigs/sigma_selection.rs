@@ -2,6 +2,7 @@
 
 use std::collections::BTreeSet;
 
+use tiepoint_adjust::AdjustOptions;
 use tiepoint_rig::robust_average;
 use tiepoint_scene::Reconstruction;
 
@@ -12,7 +13,6 @@ use super::gating::UnmatchedImages;
 use super::held_out::HeldOutComparison;
 use super::sensor_pair::{ClockState, SensorPair};
 use crate::Error;
-use crate::adjust::AdjustOptions;
 use crate::options::RigMode;
 
 /// Smallest standard deviations: translation in baselines, rotation in radians. At this level the

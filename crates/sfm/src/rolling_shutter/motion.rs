@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use rayon::prelude::*;
+use tiepoint_adjust::Shifted;
 use tiepoint_geometry::nalgebra::{Vector2, Vector3};
 use tiepoint_geometry::numeric::median;
 use tiepoint_geometry::{Rigid3, so3};
@@ -10,7 +11,6 @@ use tiepoint_rig::Trajectory;
 use tiepoint_scene::{CameraId, ImageId, Reconstruction};
 
 use super::readout::RollingShutter;
-use crate::adjust::Shifted;
 use crate::timeline::{posed_in_time, usual_speed};
 
 /// Maximum speed of a camera relative to its usual speed.

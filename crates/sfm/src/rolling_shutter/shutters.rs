@@ -14,6 +14,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+use tiepoint_adjust::AdjustOptions;
 use tiepoint_geometry::nalgebra::Vector2;
 use tiepoint_scene::{ImageId, Reconstruction};
 
@@ -21,7 +22,6 @@ use super::motion::{readout_s, shifted};
 use super::readout::{Readout, RollingShutter};
 use super::term::{ShutterTerm, adjust_readouts, with_standard_deviations};
 use crate::Error;
-use crate::adjust::AdjustOptions;
 
 /// The estimation ends if the readout times change by less than this, in seconds, or after
 /// `MAX_STEPS` adjustments.

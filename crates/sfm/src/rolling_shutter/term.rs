@@ -2,6 +2,10 @@
 
 use std::collections::BTreeMap;
 
+use tiepoint_adjust::{
+    AdjustOptions, Error, Scope, Shifted, Term, TermContext, Variables, adjust, build_problem,
+    keep_going, noise_of_fit,
+};
 use tiepoint_ba::factors::Prior;
 use tiepoint_ba::{AnyKey, EliminationOrder, Key, Problem};
 use tiepoint_geometry::Loss;
@@ -9,11 +13,6 @@ use tiepoint_geometry::nalgebra::Vector1;
 use tiepoint_scene::{CameraId, ImageId, Reconstruction};
 
 use super::readout::RollingShutter;
-use crate::Error;
-use crate::adjust::{
-    AdjustOptions, Scope, Shifted, Term, TermContext, Variables, adjust, build, keep_going,
-};
-use crate::noise::noise_of_fit;
 use crate::tracks::without_points_at_infinity;
 
 /// Standard deviation of the prior on a readout time, in seconds. Cameras have 5 to 35 ms.
@@ -96,7 +95,7 @@ pub(super) fn with_standard_deviations(
     let noise = noise_of_fit(model, &options.loss);
     let options = &AdjustOptions { noise, ..*options };
     let near = without_points_at_infinity(model);
-    let variables = build(&near, &Scope::Global, options, &mut [&mut shutters])?;
+    let variables = build_problem(&near, &Scope::Global, options, &mut [&mut shutters])?;
     let sd_s = |camera: CameraId| {
         let keys: [AnyKey; 1] = [(*shutters.keys.get(&camera)?).into()];
         Some(variables.problem().covariance(&keys).ok()?.matrix()[(0, 0)].sqrt() * noise)

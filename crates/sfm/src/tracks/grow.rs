@@ -5,11 +5,10 @@
 
 use std::collections::{BTreeSet, VecDeque};
 
+use tiepoint_adjust::view_ray;
 use tiepoint_geometry::nalgebra::Vector3;
 use tiepoint_geometry::triangulate::{ViewRay, triangulate};
 use tiepoint_scene::{CorrespondenceGraph, ImageId, Observation, PointId, Reconstruction, Track};
-
-use super::triangulation::view_ray;
 
 /// Thresholds of track creation.
 #[derive(Clone, Copy, Debug)]

@@ -1,11 +1,9 @@
-//! Tracks: triangulation, creation, completion, merging, selection and filtering.
+//! Tracks: creation, completion, merging and filtering.
 
 mod filter;
 mod grow;
 mod hold_out;
 mod infinity;
-mod selection;
-mod triangulation;
 
 pub(crate) use filter::filter_images;
 pub use filter::{FilterOptions, filter_all_points, filter_points};
@@ -13,5 +11,3 @@ pub use grow::{TrackOptions, complete_tracks, merge_tracks, retriangulate, trian
 pub(crate) use grow::{mean_position, update_tracks};
 pub use hold_out::{held_out_rms_px, hold_out_tracks};
 pub(crate) use infinity::without_points_at_infinity;
-pub(crate) use selection::select_points;
-pub(crate) use triangulation::triangulate_observations;

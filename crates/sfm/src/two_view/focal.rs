@@ -11,6 +11,7 @@
 use std::collections::BTreeMap;
 
 use rayon::prelude::*;
+use tiepoint_adjust::FocalPrior;
 use tiepoint_geometry::nalgebra::Vector2;
 use tiepoint_geometry::numeric::{golden_section, median};
 use tiepoint_geometry::{Intrinsics, RansacOptions, estimate};
@@ -44,19 +45,6 @@ const MAX_PAIRS: usize = 80;
 const FLOW: (f64, f64) = (0.01, 0.05);
 /// Rounds over the cameras, because pairs depend on the focal lengths of both cameras.
 const NUM_ROUNDS: usize = 3;
-
-/// Prior on the focal length of a camera.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct FocalPrior {
-    /// The camera.
-    pub camera: CameraId,
-    /// Mean, in pixels.
-    pub mean_px: f64,
-    /// Standard deviation, in pixels. It is wide enough for any model that determines the focal
-    /// length. It keeps the focal length near the mean in a model that does not, such as a few
-    /// images of straight motion.
-    pub sigma_px: f64,
-}
 
 /// Relative standard deviation of a prior: for focal lengths estimated from pairs, from EXIF or the
 /// user, and guessed.

@@ -5,7 +5,7 @@ mod initial_pair;
 mod verify;
 
 pub(crate) use focal::with_focal;
-pub use focal::{FocalPrior, estimate_focal_lengths, focal_priors};
+pub use focal::{estimate_focal_lengths, focal_priors};
 pub use initial_pair::{InitialPair, initial_pairs};
 pub(crate) use initial_pair::{estimate_relative_pose, relative_pose};
 pub use verify::{ImageObservations, VerifyOptions, verify_pair};

@@ -25,7 +25,7 @@ pub fn keypoint_sigma_px(scale_px: f32) -> f64 {
 
 /// Noise scale of a model's keypoints (σ₀) as a multiple of [`keypoint_sigma_px`]: the median
 /// error, corrected for the degrees of freedom.
-pub(crate) fn relative_noise(model: &Reconstruction) -> f64 {
+pub fn relative_noise(model: &Reconstruction) -> f64 {
     // Median norm of a vector of two standard normal variables.
     const MEDIAN_OF_TWO: f64 = 1.177;
     let Errors { mut relative, freedom } = Errors::of(model);
@@ -38,7 +38,7 @@ pub(crate) fn relative_noise(model: &Reconstruction) -> f64 {
 /// a multiple of [`keypoint_sigma_px`]. The covariance of an M-estimator is E ψ² / (E ψ')² (JᵀJ)⁻¹
 /// (Huber 1981, section 7.6), and JᵀWJ = E ρ' JᵀJ. For the squared loss σ is the root mean square
 /// error.
-pub(crate) fn noise_of_fit(model: &Reconstruction, loss: &Loss) -> f64 {
+pub fn noise_of_fit(model: &Reconstruction, loss: &Loss) -> f64 {
     let Errors { relative, freedom } = Errors::of(model);
     let (mut squares, mut slopes, mut weights) = (0.0, 0.0, 0.0);
     for s in relative.iter().map(|error| error * error) {

@@ -5,10 +5,7 @@ use tiepoint_geometry::triangulate::{ViewRay, nearest_to_rays};
 use tiepoint_scene::{Observation, Reconstruction};
 
 /// The ray of an observation; `None` if its image is not registered or its pixel has no ray.
-pub(super) fn view_ray<'a>(
-    model: &'a Reconstruction,
-    observation: &Observation,
-) -> Option<ViewRay<'a>> {
+pub fn view_ray<'a>(model: &'a Reconstruction, observation: &Observation) -> Option<ViewRay<'a>> {
     let image = model.image(observation.image);
     let pixel = image.keypoints[observation.keypoint as usize].pixel;
     ViewRay::new(image.cam_from_world()?, &model.camera(image.camera).intrinsics, pixel)
@@ -16,7 +13,7 @@ pub(super) fn view_ray<'a>(
 
 /// Triangulates a point from all observations with the current poses; `None` if the rays do not
 /// determine it.
-pub(crate) fn triangulate_observations(
+pub fn triangulate_observations(
     model: &Reconstruction,
     observations: &[Observation],
 ) -> Option<Vector3<f64>> {

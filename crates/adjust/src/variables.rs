@@ -8,19 +8,19 @@ use tiepoint_scene::{CameraId, ImageId, PointId, Reconstruction};
 /// A least-squares problem, with the keys of its variables.
 pub struct Variables {
     problem: Problem,
-    pub(super) cameras: Vec<(CameraId, ReadCamera)>,
-    pub(super) poses: Vec<(ImageId, Key<Rigid3>)>,
-    pub(super) composed: Vec<(ImageId, Composed)>,
+    pub(crate) cameras: Vec<(CameraId, ReadCamera)>,
+    pub(crate) poses: Vec<(ImageId, Key<Rigid3>)>,
+    pub(crate) composed: Vec<(ImageId, Composed)>,
     /// Poses of frames without a pose variable of an image, and whether they are constant.
-    pub(super) rig_poses: Vec<(Key<Rigid3>, bool)>,
-    pub(super) points: Vec<(PointId, Key<Vector3<f64>>)>,
+    pub(crate) rig_poses: Vec<(Key<Rigid3>, bool)>,
+    pub(crate) points: Vec<(PointId, Key<Vector3<f64>>)>,
 }
 
 /// The pose of an image as a product of two variables.
 #[derive(Clone, Copy)]
-pub(super) struct Composed {
-    pub(super) cam_from_rig: Key<Rigid3>,
-    pub(super) rig_from_world: Key<Rigid3>,
+pub(crate) struct Composed {
+    pub(crate) cam_from_rig: Key<Rigid3>,
+    pub(crate) rig_from_world: Key<Rigid3>,
 }
 
 /// Reads the intrinsics of a camera from the solved problem. The type of the parameter block
@@ -28,7 +28,7 @@ pub(super) struct Composed {
 type ReadCamera = Box<dyn Fn(&Problem) -> Vec<f64>>;
 
 impl Variables {
-    pub(super) fn new() -> Self {
+    pub(crate) fn new() -> Self {
         Self {
             problem: Problem::new(),
             cameras: Vec::new(),
@@ -54,7 +54,13 @@ impl Variables {
         &self.poses
     }
 
-    /// Composes the pose of an image of [`super::Term::composed_images`] as `cam_from_rig` ·
+    /// The points that take part, in order of their ids: neither held-out ones nor, with
+    /// [`crate::AdjustOptions::select_tracks`], those that were not selected.
+    pub fn points(&self) -> &[(PointId, Key<Vector3<f64>>)] {
+        &self.points
+    }
+
+    /// Composes the pose of an image of [`crate::Term::composed_images`] as `cam_from_rig` ·
     /// `rig_from_world`.
     pub fn compose_pose(
         &mut self,
@@ -67,7 +73,7 @@ impl Variables {
 
     /// Whether a frame has images of cameras with different centres on the rig, so that constant
     /// extrinsics determine the scale.
-    pub(super) fn have_baseline(&self) -> bool {
+    pub(crate) fn have_baseline(&self) -> bool {
         let mut centres: BTreeMap<Key<Rigid3>, Vector3<f64>> =
             self.poses.iter().map(|(_, key)| (*key, Vector3::zeros())).collect();
         self.composed.iter().any(|(_, Composed { cam_from_rig, rig_from_world })| {
@@ -78,7 +84,7 @@ impl Variables {
     }
 
     /// Copies the solution to the model.
-    pub(super) fn write_back(&self, model: &mut Reconstruction) {
+    pub(crate) fn write_back(&self, model: &mut Reconstruction) {
         for (camera, read) in &self.cameras {
             model.camera_mut(*camera).intrinsics.params_mut().copy_from_slice(&read(&self.problem));
         }

@@ -2,14 +2,14 @@ use tiepoint_ba::{Key, Problem};
 use tiepoint_geometry::nalgebra::{Vector1, Vector2};
 use tiepoint_scene::{CameraId, ImageId, Reconstruction};
 
-use super::options::Scope;
-use super::variables::Variables;
 use crate::Error;
+use crate::options::Scope;
+use crate::variables::Variables;
 
 /// An addition to the reprojection errors of an adjustment, with its own variables and factors,
 /// such as rig constraints or rolling shutters.
 ///
-/// [`super::adjust`] adds a term for the frames of a model, which composes the poses of their
+/// [`crate::adjust`] adds a term for the frames of a model, which composes the poses of their
 /// images.
 ///
 /// The methods are called in the order below, each on all terms before the next one.
@@ -68,7 +68,7 @@ pub struct TermContext<'a> {
     pub model: &'a Reconstruction,
     /// The scope of the adjustment.
     pub scope: &'a Scope<'a>,
-    /// [`super::AdjustOptions::noise`]: standard deviations of priors are divided by it.
+    /// [`crate::AdjustOptions::noise`]: standard deviations of priors are divided by it.
     pub noise: f64,
 }
 

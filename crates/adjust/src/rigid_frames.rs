@@ -13,13 +13,13 @@ use tiepoint_ba::{EliminationOrder, Key, Problem};
 use tiepoint_geometry::Rigid3;
 use tiepoint_scene::{CameraId, Frame, ImageId, Reconstruction, Rig};
 
-use super::options::Scope;
-use super::term::{Term, TermContext};
-use super::variables::Variables;
 use crate::Error;
+use crate::options::Scope;
+use crate::term::{Term, TermContext};
+use crate::variables::Variables;
 
 /// The rigs and frames of a model, and their variables.
-pub(super) struct RigidFrames {
+pub(crate) struct RigidFrames {
     rigs: Vec<Rig>,
     frames: Vec<Frame>,
     cameras: BTreeMap<ImageId, CameraId>,
@@ -32,7 +32,7 @@ pub(super) struct RigidFrames {
 }
 
 impl RigidFrames {
-    pub(super) fn new(model: &Reconstruction, constant_rigs: bool) -> Self {
+    pub(crate) fn new(model: &Reconstruction, constant_rigs: bool) -> Self {
         let images = model.frames.iter().flat_map(|frame| &frame.images);
         Self {
             rigs: model.rigs.clone(),
@@ -94,7 +94,7 @@ impl RigidFrames {
     }
 
     /// Writes rigs, frames and the poses of their images to the model.
-    pub(super) fn write_back(self, model: &mut Reconstruction) {
+    pub(crate) fn write_back(self, model: &mut Reconstruction) {
         for frame in &self.frames {
             for &image in &frame.images {
                 if let Some((_, cam_from_rig)) = self.sensor_of(frame, image)

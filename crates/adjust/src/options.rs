@@ -3,10 +3,9 @@
 use std::collections::BTreeSet;
 
 use tiepoint_geometry::Loss;
-use tiepoint_scene::{ImageId, ImagePair, PointId, Reconstruction};
+use tiepoint_scene::{CameraId, ImageId, ImagePair, PointId, Reconstruction};
 
 use crate::noise::relative_noise;
-use crate::two_view::FocalPrior;
 
 /// Intrinsics that a bundle adjustment refines.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -40,6 +39,19 @@ impl RefineIntrinsics {
     pub const FOCAL_AND_DISTORTION: Self = Self { focal: true, distortion: true, ..Self::NONE };
     /// All intrinsics of a camera with square pixels and without a prism.
     pub const ALL: Self = Self { principal_point: true, ..Self::FOCAL_AND_DISTORTION };
+}
+
+/// Prior on the focal length of a camera.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FocalPrior {
+    /// The camera.
+    pub camera: CameraId,
+    /// Mean, in pixels.
+    pub mean_px: f64,
+    /// Standard deviation, in pixels. It is wide enough for any model that determines the focal
+    /// length. It keeps the focal length near the mean in a model that does not, such as a few
+    /// images of straight motion.
+    pub sigma_px: f64,
 }
 
 /// Options of a bundle adjustment.
@@ -102,7 +114,7 @@ const MIN_NOISE: f64 = 0.05;
 
 impl AdjustOptions<'_> {
     /// Whether the pose of an image is variable in a scope.
-    pub(super) fn is_variable(&self, scope: &Scope, image: ImageId) -> bool {
+    pub(crate) fn is_variable(&self, scope: &Scope, image: ImageId) -> bool {
         scope.is_variable(image)
             && !self.constant_poses.is_some_and(|images| images.contains(&image))
     }
@@ -114,7 +126,8 @@ impl AdjustOptions<'_> {
         self.with_noise(relative_noise(model))
     }
 
-    pub(crate) fn with_noise(self, noise: f64) -> Self {
+    /// As [`AdjustOptions::with_noise_of`], for a known noise scale ([`crate::relative_noise`]).
+    pub fn with_noise(self, noise: f64) -> Self {
         Self {
             noise: noise.min(1.0),
             loss: Loss::Cauchy(CAUCHY_SIGMAS * noise.max(MIN_NOISE)),
@@ -143,7 +156,7 @@ impl Scope<'_> {
     }
 
     /// The points that the images observe, held out or not, in order of their ids.
-    pub(super) fn points(&self, model: &Reconstruction) -> Vec<PointId> {
+    pub(crate) fn points(&self, model: &Reconstruction) -> Vec<PointId> {
         match self {
             Self::Global => model.tracks().map(|(point, _)| point).collect(),
             Self::Local(images) => model.points_observed_by(*images),

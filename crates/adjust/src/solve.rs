@@ -5,13 +5,13 @@ use tiepoint_ba::{IterationRecord, Key, Options, Solver, Summary};
 use tiepoint_geometry::nalgebra::Vector3;
 use tiepoint_scene::{PointId, Reconstruction};
 
-use super::options::{AdjustOptions, Scope};
-use super::portrait_landscape::copy_to_unused;
-use super::problem::build;
-use super::rigid_frames::RigidFrames;
-use super::term::Term;
 use crate::Error;
-use crate::tracks::triangulate_observations;
+use crate::options::{AdjustOptions, Scope};
+use crate::portrait_landscape::copy_to_unused;
+use crate::problem::build_problem;
+use crate::rigid_frames::RigidFrames;
+use crate::term::Term;
+use crate::triangulation::triangulate_observations;
 
 /// Runs bundle adjustment with additional terms. The model receives the final state for every
 /// termination reason.
@@ -37,7 +37,7 @@ pub fn adjust(
     let mut terms: Vec<&mut dyn Term> =
         terms.iter_mut().map(|term| &mut **term as &mut dyn Term).collect();
     terms.extend(frames_term);
-    let mut variables = build(model, scope, options, &mut terms)?;
+    let mut variables = build_problem(model, scope, options, &mut terms)?;
     let solver_options = Options {
         max_iterations: options.max_iterations,
         function_tolerance: options.function_tolerance,
@@ -58,7 +58,7 @@ pub fn adjust(
 }
 
 /// Callback that never stops an adjustment.
-pub(crate) fn keep_going(_: &IterationRecord) -> ControlFlow<()> {
+pub fn keep_going(_: &IterationRecord) -> ControlFlow<()> {
     ControlFlow::Continue(())
 }
 

@@ -13,15 +13,15 @@ use tiepoint_geometry::nalgebra::{Vector1, Vector3};
 use tiepoint_geometry::{CameraModel, Loss, Rigid3, with_camera_model};
 use tiepoint_scene::{CameraId, ImageId, Keypoint, Reconstruction};
 
-use super::gauge::fix_gauge;
-use super::intrinsics::{fixed_columns, intrinsics_prior};
-use super::options::{AdjustOptions, RefineIntrinsics, Scope};
-use super::portrait_landscape::{CameraKey, add_portrait_landscape};
-use super::term::{Shifted, Term, TermContext};
-use super::variables::{Composed, Variables};
 use crate::Error;
+use crate::gauge::fix_gauge;
+use crate::intrinsics::{fixed_columns, intrinsics_prior};
 use crate::noise::keypoint_sigma_px;
-use crate::tracks::select_points;
+use crate::options::{AdjustOptions, RefineIntrinsics, Scope};
+use crate::portrait_landscape::{CameraKey, add_portrait_landscape};
+use crate::selection::select_points;
+use crate::term::{Shifted, Term, TermContext};
+use crate::variables::{Composed, Variables};
 
 /// For each image: its keypoints that observe a point of the problem.
 type Observations = Vec<Vec<(u32, Key<Vector3<f64>>)>>;
@@ -31,7 +31,7 @@ type Observations = Vec<Vec<(u32, Key<Vector3<f64>>)>>;
 /// # Errors
 ///
 /// [`Error::NothingToAdjust`] if fewer than two registered images observe a point.
-pub(crate) fn build(
+pub fn build_problem(
     model: &Reconstruction,
     scope: &Scope,
     options: &AdjustOptions,

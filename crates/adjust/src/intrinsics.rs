@@ -5,7 +5,7 @@ use tiepoint_geometry::nalgebra::SVector;
 use tiepoint_geometry::{CameraModelKind, Intrinsics};
 use tiepoint_scene::{Camera, CameraId};
 
-use super::options::{AdjustOptions, RefineIntrinsics};
+use crate::options::{AdjustOptions, RefineIntrinsics};
 
 /// Standard deviation of the ratio of two focal lengths. A value ten times as large suffices for a
 /// million keypoints.
@@ -14,7 +14,7 @@ const FOCAL_RATIO_SIGMA: f64 = 1e-6;
 /// Returns the indices of the constant parameters. Parameters that act like a rotation of the
 /// camera are constant unless asked for: a systematic error of a hundredth of a pixel would rotate
 /// the camera by a tenth of a degree.
-pub(super) fn fixed_columns(kind: CameraModelKind, refine: RefineIntrinsics) -> Vec<usize> {
+pub(crate) fn fixed_columns(kind: CameraModelKind, refine: RefineIntrinsics) -> Vec<usize> {
     (0..kind.num_params())
         .filter(|index| {
             if kind.metadata_indices().contains(index) {
@@ -34,7 +34,7 @@ pub(super) fn fixed_columns(kind: CameraModelKind, refine: RefineIntrinsics) -> 
 /// Prior on the intrinsics: principal point and distortion near the expected ones, or else near the
 /// image centre and 0, constant ratio of the focal lengths unless it is refined, and the options'
 /// prior on the first focal length. Standard deviations are divided by the noise of the keypoints.
-pub(super) fn intrinsics_prior<const N: usize>(
+pub(crate) fn intrinsics_prior<const N: usize>(
     params: &SVector<f64, N>,
     id: CameraId,
     camera: &Camera,
@@ -73,31 +73,4 @@ pub(super) fn intrinsics_prior<const N: usize>(
         prior.sqrt_information[(y, y)] = weight;
     }
     Ok(prior)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn prior_is_around_the_expected_intrinsics() {
-        let intrinsics = |params: &[f64]| Intrinsics::new(CameraModelKind::Opencv, params).unwrap();
-        let current = intrinsics(&[500.0, 505.0, 321.0, 239.0, 0.1, 0.2, 0.01, 0.02]);
-        let expected = intrinsics(&[490.0, 495.0, 300.0, 250.0, -0.1, 0.05, 0.001, 0.002]);
-        let camera = Camera { intrinsics: current, width: 640, height: 480, has_focal_prior: true };
-        let params = SVector::<f64, 8>::from_column_slice(current.params());
-        let options = AdjustOptions::default();
-        let mean = |expected| {
-            let refine = RefineIntrinsics { aspect: true, ..RefineIntrinsics::ALL };
-            intrinsics_prior(&params, CameraId(0), &camera, expected, refine, &options)
-                .unwrap()
-                .mean
-        };
-        // Without priors on focal lengths, these stay at the current ones.
-        let tail = |mean: SVector<f64, 8>| mean.as_slice()[2..].to_vec();
-        assert_eq!(tail(mean(None)), [320.0, 240.0, 0.0, 0.0, 0.0, 0.0]);
-        assert_eq!(tail(mean(Some(&expected))), expected.params()[2..]);
-        let other = Intrinsics::centred(CameraModelKind::Pinhole, 500.0, 640, 480);
-        assert_eq!(tail(mean(Some(&other))), tail(mean(None)), "of another model");
-    }
 }

@@ -1,0 +1,10 @@
+//! The crate's tests, in one program.
+
+#![allow(clippy::unwrap_used)] // the lint knows test functions, not their helpers
+
+mod common;
+mod lens;
+mod selection;
+#[path = "../../src/shared_lens.rs"]
+mod shared_lens;
+mod terms;
