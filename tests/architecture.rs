@@ -33,13 +33,31 @@ const ARROWS: &[(&str, &[&str])] = &[
     ("pipeline", &["sfm", "dense", "io", "input", "store", "eval"]),
     ("report", &["pipeline"]),
     ("colmap", &["pipeline"]),
+    ("experiments", &["pipeline", "report", "synth"]),
     ("cli", LIBRARIES),
     ("tests", LIBRARIES),
 ];
 
 const LIBRARIES: &[&str] = &[
-    "simd", "geometry", "features", "matching", "ba", "rig", "scene", "eval", "store", "io",
-    "input", "synth", "adjust", "sfm", "dense", "pipeline", "report", "colmap",
+    "simd",
+    "geometry",
+    "features",
+    "matching",
+    "ba",
+    "rig",
+    "scene",
+    "eval",
+    "store",
+    "io",
+    "input",
+    "synth",
+    "adjust",
+    "sfm",
+    "dense",
+    "pipeline",
+    "report",
+    "colmap",
+    "experiments",
 ];
 
 /// Crates whose dependencies with default features have no C code.

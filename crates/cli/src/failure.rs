@@ -12,7 +12,15 @@ pub(crate) enum Failure {
 
 impl<E: std::error::Error + 'static> From<E> for Failure {
     fn from(error: E) -> Self {
-        let of_pipeline = (&error as &dyn std::error::Error).downcast_ref();
+        let any = &error as &(dyn std::error::Error + 'static);
+        let of_experiment = any.downcast_ref();
+        if let Some(tiepoint_experiments::Error::Usage(what)) = of_experiment {
+            return Self::Usage(what.clone());
+        }
+        let of_pipeline = match of_experiment {
+            Some(tiepoint_experiments::Error::Pipeline(error)) => Some(error),
+            _ => any.downcast_ref(),
+        };
         match of_pipeline {
             Some(tiepoint_pipeline::Error::Cancelled) => Self::Cancelled,
             Some(tiepoint_pipeline::Error::MovesPoses { .. }) => Self::Usage(error.to_string()),

@@ -27,23 +27,6 @@ impl Progress {
         self.output.interrupt.watch(event)
     }
 
-    /// Shows that `image` is rendered next, after `done` of `total` images. `Break` asks the run to
-    /// stop.
-    pub(crate) fn rendering(&mut self, image: &str, done: usize, total: usize) -> ControlFlow<()> {
-        let event = serde_json::json!({
-            "event": "rendering", "image": image, "done": done, "total": total
-        });
-        if self.output.progress(&event) {
-            return self.output.interrupt.flow();
-        }
-        if done == 0 {
-            self.start_bar("render", total, 0);
-        }
-        self.show(image);
-        self.bar.set_position(done as u64);
-        self.output.interrupt.flow()
-    }
-
     fn start_bar(&mut self, stage: &'static str, total: usize, done: usize) {
         let style =
             ProgressStyle::with_template("{prefix:>8} {bar:30} {pos}/{len} {elapsed} {wide_msg}");
@@ -169,6 +152,27 @@ impl Progress {
     /// Prints a line above the bar, where it stays.
     fn print_line(&self, line: &str) {
         self.bar.suspend(|| line_to_stderr(&printable(line)));
+    }
+}
+
+impl tiepoint_experiments::Progress for Progress {
+    fn watch(&mut self, event: &Event) -> ControlFlow<()> {
+        Self::watch(self, event)
+    }
+
+    fn rendering(&mut self, image: &str, done: usize, total: usize) -> ControlFlow<()> {
+        let event = serde_json::json!({
+            "event": "rendering", "image": image, "done": done, "total": total
+        });
+        if self.output.progress(&event) {
+            return self.output.interrupt.flow();
+        }
+        if done == 0 {
+            self.start_bar("render", total, 0);
+        }
+        self.show(image);
+        self.bar.set_position(done as u64);
+        self.output.interrupt.flow()
     }
 }
 

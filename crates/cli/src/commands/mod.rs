@@ -4,7 +4,6 @@ mod adjust;
 mod colmap;
 mod completions;
 mod demo;
-mod drive_evaluation;
 mod evaluate;
 mod experiment;
 mod export;

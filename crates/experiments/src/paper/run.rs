@@ -14,21 +14,20 @@ use tiepoint_pipeline::sfm::scene::CameraId;
 use tiepoint_pipeline::sfm::{MapperOptions, Readout, RigMode};
 use tiepoint_pipeline::stages::{FeatureOptions, InputModel, MapOptions, MatchOptions, map};
 use tiepoint_pipeline::workspace::{RigCamera, write_model};
-use tiepoint_pipeline::{Error, Options, Report, Workspace, reconstruct};
+use tiepoint_pipeline::{Error as StageError, Options, Report, Workspace, reconstruct};
 use tiepoint_synth::Drive;
 
 use super::dense_cloud::{Comparison, DenseCloud, evaluate_dense};
 use super::distance::Distance;
 use super::drive::{calibration, render_once, write};
+use super::scenery::Scenery;
 use super::side::Side;
-use crate::args::Scenery;
-use crate::commands::drive_evaluation::{DriveEvaluation, evaluate_drive};
-use crate::commands::synth::{Plan, driven_m, scan};
-use crate::failure::Failure;
-use crate::progress::Progress;
+use crate::drive_evaluation::{DriveEvaluation, evaluate_drive};
+use crate::drive_folder::{Plan, driven_m, scan};
+use crate::{Error, Progress};
 
 /// A similarity needs three camera centres or more.
-pub(super) const MIN_FRAMES: usize = 3;
+pub(crate) const MIN_FRAMES: usize = 3;
 /// File of the errors in the workspace.
 const EVALUATION_FILE: &str = "evaluation.json";
 /// Folder with the model of the true poses and intrinsics.
@@ -37,85 +36,85 @@ const TRUE_CAMERAS: &str = "true-cameras";
 const COLMAP: &str = "colmap";
 
 /// A reconstruction to make.
-pub(super) struct Task<'a> {
+pub(crate) struct Task<'a> {
     /// Heading of its table row.
-    pub(super) name: &'a str,
-    pub(super) rig: RigMode,
-    pub(super) workspace: PathBuf,
+    pub(crate) name: &'a str,
+    pub(crate) rig: RigMode,
+    pub(crate) workspace: PathBuf,
     /// Workspace with the true poses and intrinsics, and the matches of `workspace`.
-    pub(super) exact: PathBuf,
-    pub(super) scenery: &'a Scenery,
-    pub(super) plan: &'a Plan,
-    pub(super) drive: &'a Drive,
+    pub(crate) exact: PathBuf,
+    pub(crate) scenery: &'a Scenery,
+    pub(crate) plan: &'a Plan,
+    pub(crate) drive: &'a Drive,
 }
 
 /// A reconstruction with its errors, a row of the tables.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub(super) struct Run {
+pub(crate) struct Run {
     /// Heading of its table row.
-    pub(super) name: String,
-    pub(super) rig: String,
-    pub(super) workspace: PathBuf,
+    pub(crate) name: String,
+    pub(crate) rig: String,
+    pub(crate) workspace: PathBuf,
     /// Number of rendered images.
-    pub(super) images: usize,
+    pub(crate) images: usize,
     /// Length of the first camera's trajectory.
-    pub(super) driven_m: f64,
+    pub(crate) driven_m: f64,
     /// Why there is no result, in one sentence.
-    pub(super) failure: Option<String>,
-    pub(super) result: Option<Measurements>,
+    pub(crate) failure: Option<String>,
+    pub(crate) result: Option<Measurements>,
     /// COLMAP's model in the folder `colmap` of the workspace, if the user put one there.
-    pub(super) colmap: Option<Measurements>,
+    pub(crate) colmap: Option<Measurements>,
 }
 
 /// Errors of a model. Lengths are in metres.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub(super) struct Measurements {
+pub(crate) struct Measurements {
     /// Images with a pose in the largest model.
-    pub(super) registered: usize,
+    pub(crate) registered: usize,
     /// Number of models.
-    pub(super) models: usize,
-    pub(super) points: usize,
+    pub(crate) models: usize,
+    pub(crate) points: usize,
     /// The dense cloud beside the scan, as in the paper.
-    pub(super) dense: Option<DenseCloud>,
+    pub(crate) dense: Option<DenseCloud>,
     /// The dense cloud of the true poses and intrinsics.
-    pub(super) exact_dense: Option<DenseCloud>,
+    pub(crate) exact_dense: Option<DenseCloud>,
     /// Distances of the sparse cloud to the scan.
-    pub(super) cloud: Option<Distance>,
+    pub(crate) cloud: Option<Distance>,
     /// The same distances for the same tracks, triangulated with the true cameras.
-    pub(super) exact_cloud: Option<Distance>,
+    pub(crate) exact_cloud: Option<Distance>,
     /// Median distance of points seen from at most 30 m to the true surface at their pixels.
-    pub(super) surface_m: Option<f64>,
+    pub(crate) surface_m: Option<f64>,
     /// Root mean square error of the camera centres.
-    pub(super) ate_m: f64,
+    pub(crate) ate_m: f64,
     /// Root mean square of the horizontal component of this error.
-    pub(super) horizontal_m: f64,
+    pub(crate) horizontal_m: f64,
     /// Root mean square of the vertical component of this error.
-    pub(super) vertical_m: f64,
+    pub(crate) vertical_m: f64,
     /// Mean distance of the two cameras over all frames.
-    pub(super) baseline_m: Option<f64>,
+    pub(crate) baseline_m: Option<f64>,
     /// Largest distance of the two cameras.
-    pub(super) largest_baseline_m: Option<f64>,
+    pub(crate) largest_baseline_m: Option<f64>,
     /// Root mean square deviation of the second camera's centre from its mean, in the frame of the
     /// first camera.
-    pub(super) baseline_spread_m: Option<f64>,
+    pub(crate) baseline_spread_m: Option<f64>,
     /// Baseline of the estimated rig extrinsics.
-    pub(super) extrinsics_m: Option<f64>,
+    pub(crate) extrinsics_m: Option<f64>,
     /// Wall time of all stages.
-    pub(super) seconds: f64,
+    pub(crate) seconds: f64,
     /// Scale, rotation quaternion (w first) and translation.
-    pub(super) world_from_model: [f64; 8],
+    pub(crate) world_from_model: [f64; 8],
 }
 
 /// The laser scan of the street, computed when it is first needed.
-pub(super) struct Scan(OnceCell<Vec<Vector3<f64>>>);
+pub(crate) struct Scan(OnceCell<Vec<Vector3<f64>>>);
 
 impl Scan {
-    pub(super) fn new() -> Self {
+    pub(crate) fn new() -> Self {
         Self(OnceCell::new())
     }
 
     /// The points of the scan on one side of the street; `None` if there are none.
-    fn on_side(&self, drive: &Drive, side: &Side) -> Result<Option<Cloud>, Failure> {
+    fn on_side(&self, drive: &Drive, side: &Side) -> Result<Option<Cloud>, Error> {
         let points = match self.0.get() {
             Some(points) => points,
             None => {
@@ -130,12 +129,12 @@ impl Scan {
 impl Task<'_> {
     /// Reconstructs and evaluates on one side of the street, or reads the cached errors. A model of
     /// COLMAP is evaluated if there is one.
-    pub(super) fn run(
+    pub(crate) fn run(
         &self,
         side: &Side,
         scan: &Scan,
-        progress: &mut Progress,
-    ) -> Result<Run, Failure> {
+        progress: &mut dyn Progress,
+    ) -> Result<Run, Error> {
         let run = self.reconstruct_and_evaluate(side, scan, progress)?;
         let folder = self.workspace.join(COLMAP);
         if !folder.join("sparse/0").is_dir() {
@@ -160,8 +159,8 @@ impl Task<'_> {
         &self,
         side: &Side,
         scan: &Scan,
-        progress: &mut Progress,
-    ) -> Result<Run, Failure> {
+        progress: &mut dyn Progress,
+    ) -> Result<Run, Error> {
         let path = self.workspace.join(EVALUATION_FILE);
         // A folder has one set of options, so that cached errors are valid.
         let kept = fs::read(&path).ok().and_then(|text| serde_json::from_slice::<Run>(&text).ok());
@@ -193,9 +192,9 @@ impl Task<'_> {
             }
             // These errors are results of the experiment: the images do not suffice.
             Err(
-                error @ (Error::NoOverlap { .. }
-                | Error::Evaluation { .. }
-                | Error::NoSynchronousImages { .. }),
+                error @ (StageError::NoOverlap { .. }
+                | StageError::Evaluation { .. }
+                | StageError::NoSynchronousImages { .. }),
             ) => Run { failure: Some(error.to_string()), ..run },
             Err(error) => return Err(error.into()),
         };
@@ -208,7 +207,7 @@ impl Task<'_> {
         model: &Path,
         side: &Side,
         scan: Option<&Cloud>,
-    ) -> Result<DriveEvaluation, Error> {
+    ) -> Result<DriveEvaluation, StageError> {
         evaluate_drive(model, self.drive, &self.plan.truth(), scan, |point| side.contains(point))
     }
 
@@ -218,8 +217,8 @@ impl Task<'_> {
         evaluation: &DriveEvaluation,
         side: &Side,
         scan: Option<&Cloud>,
-        progress: &mut Progress,
-    ) -> Result<[Option<DenseCloud>; 2], Failure> {
+        progress: &mut dyn Progress,
+    ) -> Result<[Option<DenseCloud>; 2], Error> {
         let Some(scan) = scan else { return Ok([None, None]) };
         let mut comparison = Comparison {
             scan,
@@ -233,7 +232,9 @@ impl Task<'_> {
             Ok(()) => {}
             // The matches do not fit the true poses, because the images of a rolling shutter or of
             // few frames leave too few points.
-            Err(Error::Mapping(_) | Error::InputModel { .. }) => return Ok([estimated, None]),
+            Err(StageError::Mapping(_) | StageError::InputModel { .. }) => {
+                return Ok([estimated, None]);
+            }
             Err(error) => return Err(error.into()),
         }
         comparison.world_from_model = Sim3::identity();
@@ -242,7 +243,7 @@ impl Task<'_> {
     }
 
     /// Triangulates the matches with the true poses and intrinsics, which are kept.
-    fn reconstruct_exact(&self, progress: &mut Progress) -> Result<(), Error> {
+    fn reconstruct_exact(&self, progress: &mut dyn Progress) -> Result<(), StageError> {
         Workspace::open(&self.workspace)?.fork(&self.exact)?;
         let folder = self.exact.with_file_name(TRUE_CAMERAS);
         let mut truth = self.drive.truth();
@@ -263,7 +264,7 @@ impl Task<'_> {
         map(&mut exact, &options, None, &mut |event| progress.watch(event))
     }
 
-    fn reconstruct(&self, progress: &mut Progress) -> Result<Report, Error> {
+    fn reconstruct(&self, progress: &mut dyn Progress) -> Result<Report, StageError> {
         let Scenery { pairs, seed, effects, .. } = self.scenery;
         // As with real cameras, the kind of shutter is known and the readout time is not.
         let readout = (effects.readout_s > 0.0).then_some(Readout::Estimated);
@@ -347,7 +348,7 @@ impl Measurements {
 
 impl Run {
     /// The alignment of our model to the ground truth.
-    pub(super) fn world_from_model(&self) -> Option<Sim3> {
+    pub(crate) fn world_from_model(&self) -> Option<Sim3> {
         let [scale, w, x, y, z, tx, ty, tz] = self.result.as_ref()?.world_from_model;
         let rotation = UnitQuaternion::new_normalize(Quaternion::new(w, x, y, z));
         Some(Sim3 { scale, rotation, translation: Vector3::new(tx, ty, tz) })

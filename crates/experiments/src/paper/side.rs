@@ -7,23 +7,23 @@ use tiepoint_synth::Drive;
 const STEP_S: f64 = 0.2;
 
 /// One side of the vehicle's trajectory, or both.
-pub(super) struct Side {
+pub(crate) struct Side {
     /// Horizontal positions of the vehicle, and unit vectors to this side; empty for both sides.
     samples: Vec<(Vector2<f64>, Vector2<f64>)>,
 }
 
 impl Side {
-    pub(super) fn both() -> Self {
+    pub(crate) fn both() -> Self {
         Self { samples: Vec::new() }
     }
 
     /// To the right of the vehicle.
-    pub(super) fn right(drive: &Drive) -> Self {
+    pub(crate) fn right(drive: &Drive) -> Self {
         Self::of(drive, 1.0)
     }
 
     /// To the left of the vehicle.
-    pub(super) fn left(drive: &Drive) -> Self {
+    pub(crate) fn left(drive: &Drive) -> Self {
         Self::of(drive, -1.0)
     }
 
@@ -40,7 +40,7 @@ impl Side {
     }
 
     /// Whether a point is on this side of the nearest position of the vehicle.
-    pub(super) fn contains(&self, point: &Vector3<f64>) -> bool {
+    pub(crate) fn contains(&self, point: &Vector3<f64>) -> bool {
         let distance2 =
             |sample: &(Vector2<f64>, Vector2<f64>)| (point.xy() - sample.0).norm_squared();
         let nearest = self.samples.iter().min_by(|a, b| distance2(a).total_cmp(&distance2(b)));

@@ -5,10 +5,10 @@ use tiepoint_pipeline::sfm::RigMode;
 use tiepoint_report::{Table, TableRow};
 
 use super::run::{Measurements, Run};
-use crate::commands::synth::BASELINE_M;
+use crate::drive_folder::BASELINE_M;
 
 /// Experiment I.
-pub(super) fn view_directions(runs: &[Run]) -> Vec<Table> {
+pub(crate) fn view_directions(runs: &[Run]) -> Vec<Table> {
     let caption = "Table 3 in the rendered world: accuracy for different mounting configurations \
     of monocular cameras (Experiment I)";
     let first = paper_table(caption, "Camera configuration", runs);
@@ -17,7 +17,7 @@ pub(super) fn view_directions(runs: &[Run]) -> Vec<Table> {
 }
 
 /// Experiment II.
-pub(super) fn of_constraints(runs: &[Run]) -> Vec<Table> {
+pub(crate) fn of_constraints(runs: &[Run]) -> Vec<Table> {
     let caption = "Table 4 in the rendered world: accuracy for two uncalibrated cameras that \
     overlap (Experiment II)";
     let traditional =
@@ -47,7 +47,7 @@ pub(super) fn of_constraints(runs: &[Run]) -> Vec<Table> {
 }
 
 /// Heading of a row: the paper's name of the method, and the value of --rig.
-pub(super) fn row_of(rig: RigMode) -> String {
+pub(crate) fn row_of(rig: RigMode) -> String {
     match rig {
         RigMode::Off => format!("Traditional ({})", rig.name()),
         _ => format!("Constrained ({})", rig.name()),

@@ -9,20 +9,19 @@ use tiepoint_pipeline::sfm::geometry::CameraModelKind;
 use tiepoint_pipeline::store::AtomicFile;
 use tiepoint_synth::Drive;
 
-use crate::args::Scenery;
-use crate::commands::synth::{Plan, render};
-use crate::failure::Failure;
-use crate::progress::Progress;
+use super::scenery::Scenery;
+use crate::drive_folder::{Plan, render};
+use crate::{Error, Progress};
 
 /// File that marks a completely rendered drive.
 const RENDERED: &str = "truth/rendered";
 
 /// Renders the images of a drive, unless all of them exist.
-pub(super) fn render_once(
+pub(crate) fn render_once(
     plan: &Plan,
     drive: &Drive,
-    progress: &mut Progress,
-) -> Result<(), Failure> {
+    progress: &mut dyn Progress,
+) -> Result<(), Error> {
     let mark = plan.folder.join(RENDERED);
     if fs::read_to_string(&mark).is_ok_and(|text| text == plan.record()) {
         return Ok(());
@@ -33,7 +32,7 @@ pub(super) fn render_once(
 
 /// The calibration that the mapper starts from: the camera model, and the mean paraxial focal
 /// length of the cameras. Intrinsics are refined.
-pub(super) fn calibration(scenery: &Scenery, drive: &Drive) -> Calibration {
+pub(crate) fn calibration(scenery: &Scenery, drive: &Drive) -> Calibration {
     let has_action_lens = scenery.effects.has_action_lens;
     let model = if has_action_lens {
         CameraModelKind::ThinPrismFisheye
@@ -48,6 +47,6 @@ pub(super) fn calibration(scenery: &Scenery, drive: &Drive) -> Calibration {
 }
 
 /// Writes a file atomically.
-pub(super) fn write(path: &Path, text: &str) -> Result<(), Failure> {
+pub(crate) fn write(path: &Path, text: &str) -> Result<(), Error> {
     Ok(AtomicFile::write_with(path, |file| file.write_all(text.as_bytes()))?)
 }

@@ -12,34 +12,34 @@ use tiepoint_pipeline::{Error, Workspace};
 use tiepoint_report::{CameraError, CloudError};
 
 use super::distance::Distance;
-use crate::commands::drive_evaluation::MAX_CLOUD_RANGE_M;
-use crate::progress::Progress;
+use crate::Progress;
+use crate::drive_evaluation::MAX_CLOUD_RANGE_M;
 
 /// The fused cloud in a workspace.
 const CLOUD: &str = "dense/fused.ply";
 /// Errors of a dense cloud.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub(super) struct DenseCloud {
+pub(crate) struct DenseCloud {
     /// Number of points that were compared.
-    pub(super) points: usize,
+    pub(crate) points: usize,
     /// Distances to the scan.
-    pub(super) distance: Distance,
+    pub(crate) distance: Distance,
     /// Length of the drive up to an image of the first camera, and the mean distance of the points
     /// that its true centre is nearest to, in metres.
-    pub(super) along: Vec<[f64; 2]>,
+    pub(crate) along: Vec<[f64; 2]>,
 }
 
 /// How a dense cloud is compared with the scan.
-pub(super) struct Comparison<'a> {
+pub(crate) struct Comparison<'a> {
     /// The points of the scan.
-    pub(super) scan: &'a Cloud,
-    pub(super) world_from_model: Sim3,
+    pub(crate) scan: &'a Cloud,
+    pub(crate) world_from_model: Sim3,
     /// True and estimated centres of the images. Points far from the centres are left out.
-    pub(super) cameras: &'a [CameraError],
+    pub(crate) cameras: &'a [CameraError],
     /// Whether the poses of the workspace are the true ones.
-    pub(super) has_true_poses: bool,
+    pub(crate) has_true_poses: bool,
     /// Whether a point in the world frame is compared.
-    pub(super) is_compared: &'a dyn Fn(&Vector3<f64>) -> bool,
+    pub(crate) is_compared: &'a dyn Fn(&Vector3<f64>) -> bool,
 }
 
 /// Makes the dense cloud of a workspace, unless it is there, and compares it with the scan; `None`
@@ -48,10 +48,10 @@ pub(super) struct Comparison<'a> {
 /// # Errors
 ///
 /// The stage fails, or its cloud cannot be read.
-pub(super) fn evaluate_dense(
+pub(crate) fn evaluate_dense(
     workspace: &Path,
     comparison: &Comparison,
-    progress: &mut Progress,
+    progress: &mut dyn Progress,
 ) -> Result<Option<DenseCloud>, Error> {
     let mut opened = Workspace::open(workspace)?;
     let options = DenseOptions::default();
@@ -108,7 +108,7 @@ impl Comparison<'_> {
 
 impl DenseCloud {
     /// For the plot of the page.
-    pub(super) fn errors(&self) -> Vec<CloudError> {
+    pub(crate) fn errors(&self) -> Vec<CloudError> {
         let error = |&[path_length_m, mean_m]: &[f64; 2]| CloudError { path_length_m, mean_m };
         self.along.iter().map(error).collect()
     }

@@ -5,9 +5,9 @@ use tiepoint_pipeline::evaluation::RegisteredCloud;
 
 /// Mean and standard deviation of point distances.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub(super) struct Distance {
-    pub(super) mean_m: f64,
-    pub(super) std_m: f64,
+pub(crate) struct Distance {
+    pub(crate) mean_m: f64,
+    pub(crate) std_m: f64,
 }
 
 impl From<&RegisteredCloud> for Distance {
