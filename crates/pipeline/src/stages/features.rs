@@ -4,7 +4,6 @@ use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::Read;
 use std::path::{Path, PathBuf};
-use std::time::Instant;
 
 use tiepoint_input::cameras::{
     Calibration, CalibrationSource, Calibrations, FoundCameras, Photo, firsts,
@@ -22,9 +21,10 @@ use tiepoint_store::Error as StoreError;
 use crate::stages::extractors::{Extractors, memory_of};
 use crate::stages::option_keys;
 use crate::workspace::folder::TIMESTAMPS;
-use crate::workspace::records::{Progress, Recipe};
+use crate::workspace::records::Recipe;
 use crate::workspace::report::{CameraReport, FeaturesReport};
-use crate::{Error, Event, Stage, Watch, Workspace, emit};
+use crate::workspace::stage_run::{StageRequest, StageResult, StageRun};
+use crate::{Error, Event, Stage, Watch, Workspace};
 
 /// Options of feature extraction.
 #[derive(Clone, Debug)]
@@ -91,12 +91,10 @@ pub fn extract_features(
     redo: Option<Stage>,
     watch: Watch,
 ) -> Result<(), Error> {
-    const STAGE: Stage = Stage::Features;
     options.detector.validate()?;
     let photos = &photos.with_max_pixels(options.max_pixels);
-    let inputs_before = std::mem::replace(&mut workspace.records.inputs, photos.inputs.clone());
     let calibrations = Calibrations::read(&options.calibration_files, &photos.folder)?;
-    let (usable, mut skipped) = photos.survey(options.cameras, &calibrations)?;
+    let (usable, skipped) = photos.survey(options.cameras, &calibrations)?;
     let found =
         FoundCameras::new(photos, &usable, &options.calibration, &calibrations, options.cameras)?;
     let recipe = options.recipe(photos, &found)?;
@@ -105,117 +103,187 @@ pub fn extract_features(
     workspace
         .folder
         .protect(photos.files().chain(options.timestamps.as_deref()).chain(calibration_files));
-    let progress = workspace.begin(STAGE, &recipe, redo)?;
-    if progress == Progress::Kept {
-        if workspace.records.inputs != inputs_before {
-            // The photos have moved, and exports need their paths.
-            workspace.note(|_| {})?;
-        }
-        return emit(watch, &Event::StageKept { stage: STAGE });
-    }
-    let start = Instant::now();
+    let inputs = Some(photos.inputs.clone());
+    let request = StageRequest { stage: Stage::Features, recipe, redo, inputs };
     let cameras = found.cameras;
-    // Foreign files are detected before anything is replaced.
-    let staged = workspace.folder.stage(TIMESTAMPS)?;
-    timestamps::write(&staged, times.iter().map(|(name, time_s)| (*name, *time_s)))?;
-    workspace.folder.ensure_writable_or_equal(TIMESTAMPS)?;
-    let mut database = open(workspace, photos, &usable, &cameras, progress, redo)?;
-    workspace.publish(vec![TIMESTAMPS.to_owned()], &[], |_| {})?;
-    if !workspace.folder.is_unmodified(TIMESTAMPS)? {
-        // A foreign file with the same content: it becomes ours.
-        workspace.folder.claim(&[TIMESTAMPS.to_owned()])?;
-    }
-    let mut counts = database.keypoint_counts()?;
-    let tasks: Vec<(ImageId, &Photo)> = usable
-        .iter()
-        .enumerate()
-        .filter(|(index, _)| counts[*index].is_none())
-        .map(|(index, photo)| (ImageId::from_index(index), photo))
-        .collect();
-    emit(
-        watch,
-        &Event::StageBegan { stage: STAGE, total: usable.len(), done: usable.len() - tasks.len() },
-    )?;
-    let mut notes = photos.notes.clone();
-    notes.extend(photos.folder.notes_on_bits());
-    for what in &notes {
-        emit(watch, &Event::Noted { what })?;
-    }
-    for SkippedImage { image, why } in &skipped {
-        emit(watch, &Event::ImageSkipped { image, why })?;
-    }
-    for photo in firsts(&usable) {
-        if let Some(calibration) = photo.calibration.map(|index| calibrations.shown(index)) {
-            let image = photos.name(photo);
-            emit(watch, &Event::CameraCalibrated { image, calibration: &calibration })?;
-        }
-    }
-    if matches!(options.calibration, Calibration::Unknown { focal_px: None, .. }) {
-        for photo in firsts(&usable).filter(|photo| photo.calibration.is_none()) {
-            let ImageInfo { width, height, ref exif, .. } = photo.info;
-            if let Some(focal_px) = exif.implausible_focal_px(width, height) {
-                emit(watch, &Event::FocalIgnored { image: photos.name(photo), focal_px })?;
-            }
-        }
-    }
+    let survey = Survey { photos, usable, calibrations, cameras, times };
+    workspace.run_stage(request, watch, |run| survey.extract(run, options, skipped))
+}
 
-    let extractors = Extractors::new(options.detector);
-    let work =
-        |(_, photo): &(ImageId, &Photo)| extractors.extract_photo(&photos.folder, photo.index);
-    let bytes = |(_, photo): &(ImageId, &Photo)| memory_of(&photo.info);
-    let budget = budget_bytes();
-    let taken = for_each_within_budget(
-        budget,
-        bytes,
-        &tasks,
-        work,
-        |(id, photo), found: Result<Features, Error>| {
-            let image = photos.name(photo);
+/// What is known of the photos before they are decoded.
+struct Survey<'a> {
+    photos: &'a Photos,
+    usable: Vec<Photo>,
+    calibrations: Calibrations,
+    cameras: Vec<Camera>,
+    /// Names and capture times, in seconds, of the images with a known time.
+    times: Vec<(&'a str, f64)>,
+}
+
+impl Survey<'_> {
+    /// Extracts the features of the photos that have none yet.
+    fn extract(
+        &self,
+        run: &mut StageRun,
+        options: &FeatureOptions,
+        mut skipped: Vec<SkippedImage>,
+    ) -> Result<StageResult, Error> {
+        let mut database = self.begin(run)?;
+        let mut counts = database.keypoint_counts()?;
+        let tasks: Vec<(ImageId, &Photo)> = self
+            .usable
+            .iter()
+            .enumerate()
+            .filter(|(index, _)| counts[*index].is_none())
+            .map(|(index, photo)| (ImageId::from_index(index), photo))
+            .collect();
+        run.began(self.usable.len(), self.usable.len() - tasks.len())?;
+        let notes = self.notes();
+        self.announce(run, options, &notes, &skipped)?;
+        let extractors = Extractors::new(options.detector);
+        let folder = &self.photos.folder;
+        let work = |(_, photo): &(ImageId, &Photo)| extractors.extract_photo(folder, photo.index);
+        let bytes = |(_, photo): &(ImageId, &Photo)| memory_of(&photo.info);
+        let take = |(id, photo): &(ImageId, &Photo), found: Result<Features, Error>| {
+            let image = self.photos.name(photo);
             match found {
                 Ok(features) => {
                     let keypoints = features.keypoints.len();
                     database.write_features([(*id, &features)])?;
                     counts[id.index()] = Some(keypoints);
-                    emit(watch, &Event::ImageDone { image, keypoints })
+                    run.emit(&Event::ImageDone { image, keypoints })
                 }
                 Err(error) => {
                     let why = error.to_string();
-                    emit(watch, &Event::ImageSkipped { image, why: &why })?;
+                    run.emit(&Event::ImageSkipped { image, why: &why })?;
                     skipped.push(SkippedImage { image: image.to_owned(), why });
                     Ok(())
                 }
             }
-        },
-    );
-    let found: Vec<usize> = counts.into_iter().flatten().collect();
-    if taken.is_err() || found.len() < 2 {
-        database.close()?;
-        taken?;
-        return Err(photos
-            .too_few(found.len(), skipped.into_iter().map(|photo| photo.why).collect())
-            .into());
+        };
+        let taken = for_each_within_budget(budget_bytes(), bytes, &tasks, work, take);
+        let found: Vec<usize> = counts.into_iter().flatten().collect();
+        if taken.is_err() || found.len() < 2 {
+            database.close()?;
+            taken?;
+            let why = skipped.into_iter().map(|photo| photo.why).collect();
+            return Err(self.photos.too_few(found.len(), why).into());
+        }
+        let fingerprints = self.photos.fingerprints(&self.usable);
+        let fingerprints = fingerprints.iter().map(|(name, text)| (*name, text.as_str()));
+        database.write_photo_fingerprints(fingerprints)?;
+        let cameras = self.cameras.iter().enumerate();
+        let report = FeaturesReport {
+            seconds: 0.0,
+            images: found.len(),
+            keypoints: found.iter().sum(),
+            skipped,
+            notes,
+            cameras: cameras
+                .map(|(index, camera)| CameraReport::new(CameraId::from_index(index), camera, None))
+                .collect(),
+        };
+        Ok(StageResult::features(database, report))
     }
-    let seconds = start.elapsed().as_secs_f64();
-    let cameras = cameras.iter().enumerate();
-    let report = FeaturesReport {
-        seconds,
-        images: found.len(),
-        keypoints: found.iter().sum(),
-        skipped,
-        notes,
-        cameras: cameras
-            .map(|(index, camera)| CameraReport::new(CameraId::from_index(index), camera, None))
-            .collect(),
-    };
-    // The report is written first, because the database marks the stage as complete.
-    workspace.complete(STAGE);
-    workspace.note(|all| all.stages.features = Some(report))?;
-    let fingerprints = photos.fingerprints(&usable);
-    let fingerprints = fingerprints.iter().map(|(name, text)| (*name, text.as_str()));
-    database.write_photo_fingerprints(fingerprints)?;
-    database.write_stage_rows(&workspace.records.rows())?;
-    database.close()?;
-    emit(watch, &Event::StageDone { stage: STAGE, seconds })
+
+    /// Writes the capture times, and opens the database to resume, or creates it.
+    fn begin(&self, run: &mut StageRun) -> Result<Database, Error> {
+        let workspace = &mut *run.workspace;
+        // Foreign files are detected before anything is replaced.
+        let staged = workspace.folder.stage(TIMESTAMPS)?;
+        timestamps::write(&staged, self.times.iter().map(|(name, time_s)| (*name, *time_s)))?;
+        workspace.folder.ensure_writable_or_equal(TIMESTAMPS)?;
+        let database = self.open(workspace, run.begins, run.is_redone)?;
+        workspace.publish(vec![TIMESTAMPS.to_owned()], &[], |_| {})?;
+        if !workspace.folder.is_unmodified(TIMESTAMPS)? {
+            // A foreign file with the same content: it becomes ours.
+            workspace.folder.claim(&[TIMESTAMPS.to_owned()])?;
+        }
+        Ok(database)
+    }
+
+    fn notes(&self) -> Vec<String> {
+        let mut notes = self.photos.notes.clone();
+        notes.extend(self.photos.folder.notes_on_bits());
+        notes
+    }
+
+    /// Tells the caller what was found before the photos are decoded.
+    fn announce(
+        &self,
+        run: &mut StageRun,
+        options: &FeatureOptions,
+        notes: &[String],
+        skipped: &[SkippedImage],
+    ) -> Result<(), Error> {
+        for what in notes {
+            run.emit(&Event::Noted { what })?;
+        }
+        for SkippedImage { image, why } in skipped {
+            run.emit(&Event::ImageSkipped { image, why })?;
+        }
+        let is_unknown = matches!(options.calibration, Calibration::Unknown { focal_px: None, .. });
+        for photo in firsts(&self.usable) {
+            let calibration = photo.calibration.map(|index| self.calibrations.shown(index));
+            if let Some(calibration) = calibration {
+                let image = self.photos.name(photo);
+                run.emit(&Event::CameraCalibrated { image, calibration: &calibration })?;
+            }
+        }
+        for photo in firsts(&self.usable).filter(|photo| photo.calibration.is_none() && is_unknown)
+        {
+            let ImageInfo { width, height, ref exif, .. } = photo.info;
+            if let Some(focal_px) = exif.implausible_focal_px(width, height) {
+                let image = self.photos.name(photo);
+                run.emit(&Event::FocalIgnored { image, focal_px })?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Opens the database to resume, or creates it with cameras and images.
+    ///
+    /// # Errors
+    ///
+    /// A foreign file has its name, it is damaged and is not to be redone, or it cannot be written.
+    fn open(
+        &self,
+        workspace: &Workspace,
+        begins: bool,
+        is_redone: bool,
+    ) -> Result<Database, Error> {
+        let path = workspace.database();
+        if path.is_file() {
+            match read_stage_rows(&path) {
+                // The file was renamed into place after cameras, images and rigs had been written,
+                // so that only features can be missing.
+                Ok(Some(_)) if !begins => {
+                    let database = Database::open(&path)?;
+                    if database.num_images() == self.usable.len() {
+                        return Ok(database);
+                    }
+                }
+                Ok(Some(_)) => {}
+                Ok(None) => return Err(StoreError::ForeignFile { path }.into()),
+                Err(_) if !is_sqlite(&path) => return Err(StoreError::ForeignFile { path }.into()),
+                Err(cause) if !is_redone => {
+                    return Err(Error::BrokenDatabase { path, cause: Box::new(cause) });
+                }
+                Err(_) => {}
+            }
+        }
+        let image = |photo: &Photo| {
+            let name = self.photos.name(photo);
+            Image::new(name, CameraId::from_index(photo.camera), Vec::new())
+        };
+        let images: Vec<Image> = self.usable.iter().map(image).collect();
+        Ok(Database::create_with(&path, |database| {
+            database.write_cameras(&self.cameras)?;
+            database.write_images(&images)?;
+            database.write_rigs(&[], &[])?;
+            database.write_stage_rows(&workspace.records.rows())
+        })?)
+    }
 }
 
 /// Names and capture times, in seconds, of the images with a known time.
@@ -281,51 +349,6 @@ fn implausible(
         "photos of a camera are {usual_s:.0} s apart, more than four months: seconds are expected, \
         not nanoseconds"
     ))
-}
-
-/// Opens the database to resume, or creates it with cameras and images.
-///
-/// # Errors
-///
-/// A foreign file has its name, it is damaged and is not to be redone, or it cannot be written.
-fn open(
-    workspace: &Workspace,
-    photos: &Photos,
-    usable: &[Photo],
-    cameras: &[Camera],
-    progress: Progress,
-    redo: Option<Stage>,
-) -> Result<Database, Error> {
-    let path = workspace.database();
-    if path.is_file() {
-        match read_stage_rows(&path) {
-            // The file was renamed into place after cameras, images and rigs had been written, so
-            // that only features can be missing.
-            Ok(Some(_)) if progress == Progress::Continue => {
-                let database = Database::open(&path)?;
-                if database.num_images() == usable.len() {
-                    return Ok(database);
-                }
-            }
-            Ok(Some(_)) => {}
-            Ok(None) => return Err(StoreError::ForeignFile { path }.into()),
-            Err(_) if !is_sqlite(&path) => return Err(StoreError::ForeignFile { path }.into()),
-            Err(cause) if redo != Some(Stage::Features) => {
-                return Err(Error::BrokenDatabase { path, cause: Box::new(cause) });
-            }
-            Err(_) => {}
-        }
-    }
-    let image = |photo: &Photo| {
-        Image::new(photos.name(photo), CameraId::from_index(photo.camera), Vec::new())
-    };
-    let images: Vec<Image> = usable.iter().map(image).collect();
-    Ok(Database::create_with(&path, |database| {
-        database.write_cameras(cameras)?;
-        database.write_images(&images)?;
-        database.write_rigs(&[], &[])?;
-        database.write_stage_rows(&workspace.records.rows())
-    })?)
 }
 
 /// Whether a file has the header of SQLite.

@@ -7,7 +7,6 @@
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use std::time::Instant;
 
 use tiepoint_input::fingerprint::hash_files;
 use tiepoint_input::parallel::for_each_in_order;
@@ -23,9 +22,10 @@ use tiepoint_store::Error as StoreError;
 use crate::stages::option_keys;
 use crate::workspace::keypoints::keypoint;
 use crate::workspace::option_names;
-use crate::workspace::records::{Progress, Recipe};
+use crate::workspace::records::Recipe;
 use crate::workspace::report::{CameraReport, FeaturesReport, MatchReport};
-use crate::{Error, Event, Stage, Watch, Workspace, emit};
+use crate::workspace::stage_run::{StageRequest, StageResult, StageRun};
+use crate::{Error, Event, Stage, Watch, Workspace};
 
 /// Pairs per transaction.
 const PAIRS_PER_TRANSACTION: usize = 64;
@@ -45,7 +45,6 @@ pub fn import_features(
     redo: Option<Stage>,
     watch: Watch,
 ) -> Result<(), Error> {
-    const STAGE: Stage = Stage::Features;
     let source = Database::open_read_only(file)?;
     let has_pairs = source.has_pairs()?;
     drop(source);
@@ -54,35 +53,32 @@ pub fn import_features(
         Recipe::new(fingerprint.clone(), option_keys::database_options(&fingerprint, has_pairs));
     let absolute = |path: &PathBuf| path.canonicalize().map_err(Error::unreadable(&path));
     let inputs: Vec<PathBuf> = inputs.iter().map(absolute).collect::<Result<_, _>>()?;
-    let inputs_before = std::mem::replace(&mut workspace.records.inputs, inputs);
     workspace.folder.protect([file]);
-    if workspace.begin(STAGE, &recipe, redo)? == Progress::Kept {
-        if workspace.records.inputs != inputs_before {
-            workspace.note(|_| {})?;
-        }
-        return emit(watch, &Event::StageKept { stage: STAGE });
-    }
-    let start = Instant::now();
+    let request = StageRequest { stage: Stage::Features, recipe, redo, inputs: Some(inputs) };
+    workspace.run_stage(request, watch, |run| copy_database(file, run))
+}
+
+/// Copies the database into the workspace.
+fn copy_database(file: &Path, run: &mut StageRun) -> Result<StageResult, Error> {
+    let workspace = &mut *run.workspace;
     let path = workspace.database();
     if path.is_file() && !matches!(read_stage_rows(&path), Ok(Some(_))) {
         return Err(StoreError::ForeignFile { path }.into());
     }
     let rows = workspace.records.rows();
-    let mut database =
-        Database::copy_with(file, &path, |database| database.write_stage_rows(&rows))?;
+    let database = Database::copy_with(file, &path, |database| database.write_stage_rows(&rows))?;
     workspace.note(|_| {})?;
     let counts: Vec<usize> = database.keypoint_counts()?.into_iter().flatten().collect();
     let images = counts.iter().filter(|count| **count > 0).count();
-    emit(watch, &Event::StageBegan { stage: STAGE, total: images, done: images })?;
+    run.began(images, images)?;
     if images < 2 {
         database.close()?;
         return Err(Error::EmptyDatabase { path: file.to_owned(), images });
     }
     let cameras = database.read_cameras()?;
-    let seconds = start.elapsed().as_secs_f64();
     let cameras = cameras.iter().enumerate();
     let report = FeaturesReport {
-        seconds,
+        seconds: 0.0,
         images,
         keypoints: counts.iter().sum(),
         skipped: Vec::new(),
@@ -91,11 +87,7 @@ pub fn import_features(
             .map(|(index, camera)| CameraReport::new(CameraId::from_index(index), camera, None))
             .collect(),
     };
-    workspace.complete(STAGE);
-    workspace.note(|all| all.stages.features = Some(report))?;
-    database.write_stage_rows(&workspace.records.rows())?;
-    database.close()?;
-    emit(watch, &Event::StageDone { stage: STAGE, seconds })
+    Ok(StageResult::features(database, report))
 }
 
 /// A database and its log.
@@ -142,21 +134,25 @@ pub(crate) fn verify_imported_pairs(
     redo: Option<Stage>,
     watch: Watch,
 ) -> Result<(), Error> {
-    const STAGE: Stage = Stage::Match;
     let input = workspace.fingerprint(Stage::Features)?;
     let recipe = Recipe::new(input, option_keys::imported_pairs_options(options, seed));
-    let progress = workspace.begin(STAGE, &recipe, redo)?;
-    if progress == Progress::Kept {
-        return emit(watch, &Event::StageKept { stage: STAGE });
-    }
-    let start = Instant::now();
-    let mut database = Database::open(&workspace.database())?;
-    if progress == Progress::Begin {
-        database.write_stage_rows(&workspace.records.rows())?;
-        workspace.note(|_| {})?;
+    let request = StageRequest { stage: Stage::Match, recipe, redo, inputs: None };
+    workspace.run_stage(request, watch, |run| verify_all(run, options, seed))
+}
+
+/// Verifies the pairs that have matches alone.
+fn verify_all(
+    run: &mut StageRun,
+    options: &VerifyOptions,
+    seed: u64,
+) -> Result<StageResult, Error> {
+    let mut database = Database::open(&run.workspace.database())?;
+    if run.begins {
+        database.write_stage_rows(&run.workspace.records.rows())?;
+        run.workspace.note(|_| {})?;
     }
     let pairs = ImportedPairs::read(&database)?;
-    emit(watch, &Event::StageBegan { stage: STAGE, total: pairs.all.len(), done: 0 })?;
+    run.began(pairs.all.len(), 0)?;
     let tasks: Vec<ImagePair> = pairs.all.keys().copied().collect();
     let names: Vec<String> = pairs.images.iter().map(|image| image.name.clone()).collect();
     let mut report = MatchReport::default();
@@ -180,13 +176,13 @@ pub(crate) fn verify_imported_pairs(
                 batch.push((*pair, view));
             }
             let [image1, image2] = [pair.a, pair.b].map(|image| names[image.index()].as_str());
-            emit(watch, &Event::PairDone { image1, image2, matches: matches.len(), inliers })
+            run.emit(&Event::PairDone { image1, image2, matches: matches.len(), inliers })
         });
         database.write_two_views(batch.iter().map(|(pair, view)| (*pair, view)))?;
         batch.clear();
         taken?;
     }
-    workspace.complete_matching(database, report, start, watch)
+    Ok(StageResult::matches(database, report))
 }
 
 /// The pairs of a database, with their images.

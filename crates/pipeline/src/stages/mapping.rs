@@ -4,7 +4,6 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::ControlFlow;
 use std::path::PathBuf;
-use std::time::Instant;
 
 use tiepoint_input::cameras::CalibrationFacts;
 use tiepoint_input::fingerprint::hash_file;
@@ -14,8 +13,8 @@ use tiepoint_io::database::{Database, DatabaseFrame};
 use tiepoint_io::{ply, timestamps};
 use tiepoint_sfm::scene::{Camera, CameraId, CorrespondenceGraph, Image, ImageId, Reconstruction};
 use tiepoint_sfm::{
-    self as sfm, Existing, Failure, MappedModel, MapperOptions, OptionalStage, RefineIntrinsics,
-    RigMode, VerifyOptions, rig_candidates, rig_pairs,
+    self as sfm, Existing, Failure, KnownRigs, MappedModel, MapperOptions, OptionalStage,
+    RefineIntrinsics, RigMode, VerifyOptions, rig_candidates, rig_pairs,
 };
 
 use crate::stages::colors::color_points;
@@ -29,11 +28,11 @@ use crate::workspace::file_names::{SPARSE, is_rig_name, model_path, rig_name};
 use crate::workspace::folder::{POINTS, rigs_in};
 use crate::workspace::model_output::{model_names, stage_model};
 use crate::workspace::option_names;
-use crate::workspace::records::{Progress, Recipe};
-use crate::workspace::report::ScaleReport;
-use crate::workspace::report::{MapReport, ModelReport};
+use crate::workspace::records::Recipe;
+use crate::workspace::report::{MapReport, ModelReport, ScaleReport};
 use crate::workspace::rig_file::RigFile;
 use crate::workspace::rig_report::RigReport;
+use crate::workspace::stage_run::{StageRequest, StageResult, StageRun};
 use crate::{Error, Event, Stage, Watch, Workspace, emit};
 
 /// Options of mapping.
@@ -71,178 +70,257 @@ pub fn map(
     redo: Option<Stage>,
     watch: Watch,
 ) -> Result<(), Error> {
-    const STAGE: Stage = Stage::Map;
-    let &MapOptions { mapper: mut options, refine, baseline_m, refine_extrinsics, .. } =
-        map_options;
-    let rig_calibration = map_options.rig_calibration.as_deref();
-    let input_model = map_options.input_model.as_ref().map(InputModel::open).transpose()?;
-    if let Some(refine) = refine {
-        options.refine = refine;
-    } else if workspace.records.option(Stage::Features, option_names::INTRINSICS).is_some() {
-        options.refine = RefineIntrinsics::NONE;
-    }
-    let mut texts = option_keys::mapping_options(&options, baseline_m);
-    let has_known = input_model.is_some()
-        || rig_calibration.is_some()
-        || [option_names::INTRINSICS, CalibrationFacts::CALIBRATED]
-            .iter()
-            .any(|option| workspace.records.option(Stage::Features, option).is_some());
-    texts.push(option_keys::known_intrinsics_option(refine.is_some() && has_known));
-    if let Some(model) = &input_model {
-        if rig_calibration.is_some() {
-            let (option, with) = ("--rig-calibration", "--input-model");
-            return Err(Error::MovesPoses { option, with });
+    let mut request = MapRequest::new(workspace, map_options)?;
+    let recipe = Recipe::new(workspace.fingerprint(Stage::Match)?, request.take_texts());
+    let stage = StageRequest { stage: Stage::Map, recipe, redo, inputs: None };
+    workspace.run_stage(stage, watch, |run| {
+        // Foreign files are detected before mapping. Old models stay until the new ones are
+        // complete.
+        let replaced = replaced_names(run.workspace);
+        run.workspace.folder.ensure_writable(replaced.iter().map(String::as_str))?;
+        let input = request.read(run)?;
+        request.check(run.workspace, &input)?;
+        let models = request.map(run, &input)?;
+        request.finish(run, &input, models, replaced)
+    })
+}
+
+/// What a mapping is asked to do, with what the workspace decides.
+struct MapRequest<'a> {
+    given: &'a MapOptions,
+    options: MapperOptions,
+    input_model: Option<OpenedModel>,
+    /// The options for the record.
+    texts: Vec<(&'static str, String)>,
+    /// Whether the features came with the database of another program.
+    is_imported: bool,
+}
+
+/// What is mapped.
+struct MapInput {
+    scene: Reconstruction,
+    graph: CorrespondenceGraph,
+    known_rigs: Option<KnownRigs>,
+}
+
+impl<'a> MapRequest<'a> {
+    fn new(workspace: &mut Workspace, given: &'a MapOptions) -> Result<Self, Error> {
+        let &MapOptions { mut mapper, refine, baseline_m, refine_extrinsics, .. } = given;
+        let rig_calibration = given.rig_calibration.as_deref();
+        let input_model = given.input_model.as_ref().map(InputModel::open).transpose()?;
+        let of_features = |option| workspace.records.option(Stage::Features, option).is_some();
+        if let Some(refine) = refine {
+            mapper.refine = refine;
+        } else if of_features(option_names::INTRINSICS) {
+            mapper.refine = RefineIntrinsics::NONE;
         }
-        texts.extend(model.texts());
-        options = model.options(options)?;
-        workspace.folder.protect(model.files());
-    }
-    let hash = rig_calibration.map(hash_file).transpose()?;
-    texts.extend(option_keys::rig_calibration_options(hash, refine_extrinsics));
-    let recipe = Recipe::new(workspace.fingerprint(Stage::Match)?, texts);
-    let progress = workspace.begin(STAGE, &recipe, redo)?;
-    if progress == Progress::Kept {
-        return emit(watch, &Event::StageKept { stage: STAGE });
-    }
-    let start = Instant::now();
-    // Foreign files are detected before mapping. Old models stay until the new ones are complete.
-    let replaced = replaced_names(workspace);
-    workspace.folder.ensure_writable(replaced.iter().map(String::as_str))?;
-    let mut scene = load_scene(workspace)?;
-    if let Some(model) = &input_model {
-        apply_input_model(&mut scene, model, refine.is_some(), watch)?;
-    }
-    let graph = load_graph(workspace, &scene)?;
-    let known_rigs =
-        rig_calibration.map(|path| known_rigs(path, &mut scene, refine_extrinsics)).transpose()?;
-    // The focal lengths of an input model or a foreign database are those that it has.
-    let is_foreign = input_model.is_some()
-        || workspace.records.option(Stage::Features, option_names::DATABASE).is_some();
-    if refine.is_some_and(|refine| !refine.focal)
-        && !is_foreign
-        && let Some(image) = image_without_focal(&scene)
-    {
-        return Err(Error::UnknownFocal {
-            path: workspace.root().to_owned(),
-            image: image.name.clone(),
-        });
-    }
-    if refine.is_some() {
-        let known = std::mem::take(&mut scene.calibrated);
-        scene.expected_intrinsics =
-            known.into_iter().map(|id| (id, scene.camera(id).intrinsics)).collect();
-    }
-    let total = scene.images().filter(|(_, image)| !image.keypoints.is_empty()).count();
-    emit(watch, &Event::StageBegan { stage: STAGE, total, done: 0 })?;
-    if graph.pairs().is_empty() {
-        let required = VerifyOptions::default().min_num_inliers;
-        return Err(no_overlap(workspace, required)?);
-    }
-    match options.rig {
-        RigMode::Off | RigMode::Auto => {}
-        _ if known_rigs.is_some() => {}
-        mode => require_synchronous_images(workspace, &scene, mode)?,
-    }
-    if options.readout.is_some() && !is_timed(&scene) {
-        return Err(Error::NoTimedSequence { path: workspace.root().to_owned() });
-    }
-    let name = |id| scene.image(id).name.as_str();
-    let database = Database::open(&workspace.database())?;
-    let is_imported = workspace.records.option(Stage::Features, option_names::DATABASE).is_some();
-    let has_sift = !is_imported || database.image_without_sift()?.is_none();
-    let mut unreadable = None;
-    let mut descriptors = |image: ImageId| {
-        // The images of an input model come behind those of the database.
-        if !has_sift || image.index() >= database.num_images() {
-            return Vec::new();
+        let mut texts = option_keys::mapping_options(&mapper, baseline_m);
+        let has_known = input_model.is_some()
+            || rig_calibration.is_some()
+            || [option_names::INTRINSICS, CalibrationFacts::CALIBRATED]
+                .into_iter()
+                .any(of_features);
+        texts.push(option_keys::known_intrinsics_option(refine.is_some() && has_known));
+        let is_imported = of_features(option_names::DATABASE);
+        if let Some(model) = &input_model {
+            if rig_calibration.is_some() {
+                let (option, with) = ("--rig-calibration", "--input-model");
+                return Err(Error::MovesPoses { option, with });
+            }
+            texts.extend(model.texts());
+            mapper = model.options(mapper)?;
+            workspace.folder.protect(model.files());
         }
-        database.read_features(image).map_or_else(
-            |error| {
-                unreadable.get_or_insert(error);
-                Vec::new()
-            },
-            |features| features.descriptors,
-        )
-    };
-    let mut notified = |event: &sfm::Event| {
-        named_event(event, &name).map_or(ControlFlow::Continue(()), |event| watch(&event))
-    };
-    let mut models = match (&input_model, &known_rigs) {
-        (None, None) => sfm::map(&graph, &scene, &mut descriptors, &options, &mut notified)?,
-        (None, Some(rigs)) => {
-            sfm::map_with_rigs(&graph, &scene, rigs, &mut descriptors, &options, &mut notified)?
-        }
-        (Some(model), _) => {
-            let constant_poses = model.fix_existing_frames;
-            let existing = Existing { model: &scene, constant_poses };
-            sfm::extend(&graph, &existing, &mut descriptors, &options, &mut notified)
-                .map_err(|cause| model.error(cause))?
-        }
-    };
-    if let Some(error) = unreadable {
-        return Err(error.into());
+        let hash = rig_calibration.map(hash_file).transpose()?;
+        texts.extend(option_keys::rig_calibration_options(hash, refine_extrinsics));
+        Ok(Self { given, options: mapper, input_model, texts, is_imported })
     }
-    database.close()?;
-    // A database of another program may come without photos.
-    if !workspace.records.inputs.is_empty()
-        && let Err(error) = ImageFolder::open(&workspace.records.inputs, None)
-            .map_err(Error::from)
-            .and_then(|folder| {
-                color_points(&folder, models.iter_mut().map(|model| &mut model.reconstruction))
-            })
-    {
+
+    fn take_texts(&mut self) -> Vec<(&'static str, String)> {
+        std::mem::take(&mut self.texts)
+    }
+
+    /// Reads what is mapped, and begins the stage.
+    fn read(&self, run: &mut StageRun) -> Result<MapInput, Error> {
+        let &MapOptions { refine, refine_extrinsics, .. } = self.given;
+        let mut scene = load_scene(run.workspace)?;
+        if let Some(model) = &self.input_model {
+            apply_input_model(&mut scene, model, refine.is_some(), run.watch)?;
+        }
+        let graph = load_graph(run.workspace, &scene)?;
+        let rig_calibration = self.given.rig_calibration.as_deref();
+        let known_rigs = rig_calibration
+            .map(|path| known_rigs(path, &mut scene, refine_extrinsics))
+            .transpose()?;
+        // The focal lengths of an input model or a foreign database are those that it has.
+        let is_foreign = self.input_model.is_some() || self.is_imported;
+        if refine.is_some_and(|refine| !refine.focal)
+            && !is_foreign
+            && let Some(image) = image_without_focal(&scene)
+        {
+            return Err(Error::UnknownFocal {
+                path: run.workspace.root().to_owned(),
+                image: image.name.clone(),
+            });
+        }
+        if refine.is_some() {
+            let known = std::mem::take(&mut scene.calibrated);
+            scene.expected_intrinsics =
+                known.into_iter().map(|id| (id, scene.camera(id).intrinsics)).collect();
+        }
+        let total = scene.images().filter(|(_, image)| !image.keypoints.is_empty()).count();
+        run.began(total, 0)?;
+        Ok(MapInput { scene, graph, known_rigs })
+    }
+
+    /// Checks that what is asked for can be estimated from this input.
+    fn check(&self, workspace: &Workspace, input: &MapInput) -> Result<(), Error> {
+        let MapInput { scene, graph, known_rigs } = input;
+        if graph.pairs().is_empty() {
+            let required = VerifyOptions::default().min_num_inliers;
+            return Err(no_overlap(workspace, required)?);
+        }
+        match self.options.rig {
+            RigMode::Off | RigMode::Auto => {}
+            _ if known_rigs.is_some() => {}
+            mode => require_synchronous_images(workspace, scene, mode)?,
+        }
+        if self.options.readout.is_some() && !is_timed(scene) {
+            return Err(Error::NoTimedSequence { path: workspace.root().to_owned() });
+        }
+        Ok(())
+    }
+
+    /// Runs the mapper, and colours the points.
+    fn map(&self, run: &mut StageRun, input: &MapInput) -> Result<Vec<MappedModel>, Error> {
+        let MapInput { scene, graph, known_rigs } = input;
+        let name = |id| scene.image(id).name.as_str();
+        let database = Database::open(&run.workspace.database())?;
+        let has_sift = !self.is_imported || database.image_without_sift()?.is_none();
+        let mut unreadable = None;
+        let mut descriptors = |image: ImageId| {
+            // The images of an input model come behind those of the database.
+            if !has_sift || image.index() >= database.num_images() {
+                return Vec::new();
+            }
+            database.read_features(image).map_or_else(
+                |error| {
+                    unreadable.get_or_insert(error);
+                    Vec::new()
+                },
+                |features| features.descriptors,
+            )
+        };
+        let watch = &mut *run.watch;
+        let mut notified = |event: &sfm::Event| {
+            named_event(event, &name).map_or(ControlFlow::Continue(()), |event| watch(&event))
+        };
+        let (options, notify) = (&self.options, &mut notified);
+        let mut models = match (&self.input_model, known_rigs) {
+            (None, None) => sfm::map(graph, scene, &mut descriptors, options, notify)?,
+            (None, Some(rigs)) => {
+                sfm::map_with_rigs(graph, scene, rigs, &mut descriptors, options, notify)?
+            }
+            (Some(model), _) => {
+                let constant_poses = model.fix_existing_frames;
+                let existing = Existing { model: scene, constant_poses };
+                sfm::extend(graph, &existing, &mut descriptors, options, notify)
+                    .map_err(|cause| model.error(cause))?
+            }
+        };
+        if let Some(error) = unreadable {
+            return Err(error.into());
+        }
+        database.close()?;
+        color(run, &mut models)?;
+        Ok(models)
+    }
+
+    /// Stages the models with their scale, and writes the rigs into the database.
+    fn finish(
+        &self,
+        run: &mut StageRun,
+        input: &MapInput,
+        mut models: Vec<MappedModel>,
+        replaced: Vec<String>,
+    ) -> Result<StageResult, Error> {
+        let scales: Vec<Option<ScaleReport>> = match self.given.baseline_m {
+            Some(baseline_m) => {
+                scale_to_baseline(&mut models, baseline_m).into_iter().map(Some).collect()
+            }
+            None => vec![None; models.len()],
+        };
+        let files = stage_models(run.workspace, &models)?;
+        let is_known = input.known_rigs.is_some();
+        let reports = self.reports(&models, scales, is_known);
+        let may_be_rig = self.options.rig != RigMode::Off && !is_known;
+        let notes: Vec<String> = match models.first() {
+            Some(first) if may_be_rig && reports.iter().all(|report| report.rig.is_none()) => {
+                why_no_rig(&first.reconstruction).into_iter().collect()
+            }
+            _ => Vec::new(),
+        };
+        for what in &notes {
+            run.emit(&Event::Noted { what })?;
+        }
+        // The rigs are written after every step that may fail: a run that ends before the stage is
+        // complete repeats it and writes them again.
+        if let Some(first) = models.first()
+            && let Err(error) = write_rigs(run.workspace, &first.reconstruction)
+            && !self.is_imported
+        {
+            // Tables of another program may have other columns; the model is valid without them.
+            return Err(error);
+        }
+        let removed = replaced.into_iter().filter(|name| !files.contains(name)).collect();
+        Ok(StageResult {
+            files,
+            removed,
+            database: None,
+            report: Box::new(move |all, seconds| {
+                all.stages.map = Some(MapReport { seconds, notes });
+                all.models = reports;
+            }),
+        })
+    }
+
+    fn reports(
+        &self,
+        models: &[MappedModel],
+        scales: Vec<Option<ScaleReport>>,
+        is_known: bool,
+    ) -> Vec<ModelReport> {
+        let report = |(index, (model, scale)): (usize, (&MappedModel, Option<ScaleReport>))| {
+            let has_failed =
+                model.failures.iter().any(|failure| failure.stage == OptionalStage::Rig);
+            let mode = if is_known { RigMode::Off } else { self.options.rig };
+            let metres_per_unit = scale.as_ref().and_then(|scale| scale.factor).unwrap_or(1.0);
+            ModelReport {
+                scale,
+                loop_pairs: model.num_loop_pairs,
+                failed: model.failures.iter().map(|failure| describe(failure, is_known)).collect(),
+                rig: RigReport::new(mode, is_known && !has_failed, model, metres_per_unit),
+                ..ModelReport::new(model_path(index), &model.reconstruction, &model.shutters)
+            }
+        };
+        models.iter().zip(scales).enumerate().map(report).collect()
+    }
+}
+
+/// Colours the points of models from the photos. A database of another program may come without
+/// photos.
+fn color(run: &mut StageRun, models: &mut [MappedModel]) -> Result<(), Error> {
+    let inputs = &run.workspace.records.inputs;
+    if inputs.is_empty() {
+        return Ok(());
+    }
+    let models = models.iter_mut().map(|model| &mut model.reconstruction);
+    let folder = ImageFolder::open(inputs, None).map_err(Error::from);
+    match folder.and_then(|folder| color_points(&folder, models)) {
+        Ok(()) => Ok(()),
         // The photos may have moved; the model is valid without colours.
-        emit(watch, &Event::ColorsMissing { why: &error.to_string() })?;
+        Err(error) => run.emit(&Event::ColorsMissing { why: &error.to_string() }),
     }
-    let scales: Vec<Option<ScaleReport>> = match baseline_m {
-        Some(baseline_m) => {
-            scale_to_baseline(&mut models, baseline_m).into_iter().map(Some).collect()
-        }
-        None => vec![None; models.len()],
-    };
-    let staged = stage_models(workspace, &models)?;
-    let reports = models.iter().zip(scales).enumerate();
-    let is_known = known_rigs.is_some();
-    let reports = reports.map(|(index, (model, scale))| {
-        let has_failed = model.failures.iter().any(|failure| failure.stage == OptionalStage::Rig);
-        let mode = if is_known { RigMode::Off } else { options.rig };
-        let metres_per_unit = scale.as_ref().and_then(|scale| scale.factor).unwrap_or(1.0);
-        ModelReport {
-            scale,
-            loop_pairs: model.num_loop_pairs,
-            failed: model.failures.iter().map(|failure| describe(failure, is_known)).collect(),
-            rig: RigReport::new(mode, is_known && !has_failed, model, metres_per_unit),
-            ..ModelReport::new(model_path(index), &model.reconstruction, &model.shutters)
-        }
-    });
-    let reports: Vec<ModelReport> = reports.collect();
-    let may_be_rig = options.rig != RigMode::Off && !is_known;
-    let notes: Vec<String> = match models.first() {
-        Some(first) if may_be_rig && reports.iter().all(|report| report.rig.is_none()) => {
-            why_no_rig(&first.reconstruction).into_iter().collect()
-        }
-        _ => Vec::new(),
-    };
-    for what in &notes {
-        emit(watch, &Event::Noted { what })?;
-    }
-    let seconds = start.elapsed().as_secs_f64();
-    let removed: Vec<String> = replaced.into_iter().filter(|name| !staged.contains(name)).collect();
-    // The rigs are written after every step that may fail, and before the stage is marked as
-    // complete: after an interruption, a later run repeats the stage and writes them again.
-    if let Some(first) = models.first()
-        && let Err(error) = write_rigs(workspace, &first.reconstruction)
-        && !is_imported
-    {
-        // Tables of another program may have other columns; the model is valid without them.
-        return Err(error);
-    }
-    workspace.complete(STAGE);
-    workspace.publish(staged, &removed, |all| {
-        all.stages.map = Some(MapReport { seconds, notes });
-        all.models = reports;
-    })?;
-    emit(watch, &Event::StageDone { stage: STAGE, seconds })
 }
 
 /// A failed optional stage, as a sentence. `has_known_rigs`: rigs are not estimated.

@@ -20,8 +20,9 @@ use crate::stages::loaded_features::LoadedFeatures;
 use crate::stages::option_keys;
 use crate::stages::pair_choice::{self, IMAGES_READ_AT_ONCE, PairChoice};
 use crate::workspace::option_names::PAIRS;
-use crate::workspace::records::{Progress, Recipe};
+use crate::workspace::records::Recipe;
 use crate::workspace::report::MatchReport;
+use crate::workspace::stage_run::{StageRequest, StageResult};
 use crate::{Error, Event, Stage, Watch, Workspace, emit};
 
 /// Images per side of a tile. 8192 prepared features take 1.4 MiB, so that a tile takes a third of
@@ -99,7 +100,6 @@ pub fn match_images(
     redo: Option<Stage>,
     watch: Watch,
 ) -> Result<(), Error> {
-    const STAGE: Stage = Stage::Match;
     options.descriptors.validate()?;
     if has_imported_pairs(workspace, redo) {
         return verify_imported_pairs(workspace, &options.verify, options.seed, redo, watch);
@@ -108,22 +108,22 @@ pub fn match_images(
     let options =
         &MatchOptions { pairs: resolved(options.pairs, workspace, redo)?, ..options.clone() };
     let recipe = options.recipe(input);
-    let progress = workspace.begin(STAGE, &recipe, redo)?;
-    if progress == Progress::Kept {
-        return emit(watch, &Event::StageKept { stage: STAGE });
-    }
-    let start = Instant::now();
-    let mut database = Database::open(&workspace.database())?;
-    require_sift(workspace, &database)?;
-    if progress == Progress::Begin {
-        database.clear_matches_for(&workspace.records.rows())?;
-        workspace.note(|_| {})?;
-    }
-    let images = database.read_images()?;
-    let MatchOptions { pairs, seed, .. } = *options;
-    let choice = pair_choice::choose_pairs_of_images(workspace, &database, &images, pairs, seed)?;
-    let report = match_pairs(&mut database, choice, options, watch)?;
-    workspace.complete_matching(database, report, start, watch)
+    let request = StageRequest { stage: Stage::Match, recipe, redo, inputs: None };
+    workspace.run_stage(request, watch, |run| {
+        let workspace = &mut *run.workspace;
+        let mut database = Database::open(&workspace.database())?;
+        require_sift(workspace, &database)?;
+        if run.begins {
+            database.clear_matches_for(&workspace.records.rows())?;
+            workspace.note(|_| {})?;
+        }
+        let images = database.read_images()?;
+        let MatchOptions { pairs, seed, .. } = *options;
+        let choice =
+            pair_choice::choose_pairs_of_images(workspace, &database, &images, pairs, seed)?;
+        let report = match_pairs(&mut database, choice, options, run.watch)?;
+        Ok(StageResult::matches(database, report))
+    })
 }
 
 /// Matches and verifies the pairs of a choice that have no matches in the database yet. Completed

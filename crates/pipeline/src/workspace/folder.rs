@@ -3,7 +3,6 @@
 use std::ffi::OsStr;
 use std::fs::{self, File, OpenOptions, TryLockError};
 use std::path::{Component, Path, PathBuf};
-use std::time::Instant;
 
 use tiepoint_io::database::{Database, read_stage_rows};
 use tiepoint_store::{Error as StoreError, OutputFolder, disk};
@@ -11,8 +10,8 @@ use tiepoint_store::{Error as StoreError, OutputFolder, disk};
 use crate::workspace::file_names::{DENSE, RIG, SPARSE, is_rig_name, model_path};
 use crate::workspace::format::json;
 use crate::workspace::records::{Progress, Recipe, Records};
-use crate::workspace::report::{MatchReport, Report};
-use crate::{Error, Event, Stage, Watch, emit};
+use crate::workspace::report::Report;
+use crate::{Error, Stage};
 
 /// A workspace, locked by this process.
 #[derive(Debug)]
@@ -256,27 +255,6 @@ impl Workspace {
     /// Marks a stage as complete; the next [`Workspace::publish`] writes that.
     pub(crate) fn complete(&mut self, stage: Stage) {
         self.records.complete(stage);
-    }
-
-    /// Records the report of matching and that it is complete, and closes the database.
-    ///
-    /// # Errors
-    ///
-    /// The records cannot be written, or `watch` returns `Break`.
-    pub(crate) fn complete_matching(
-        &mut self,
-        mut database: Database,
-        report: MatchReport,
-        start: Instant,
-        watch: Watch,
-    ) -> Result<(), Error> {
-        let seconds = start.elapsed().as_secs_f64();
-        // The report is written first, because the database marks the stage as complete.
-        self.complete(Stage::Match);
-        self.note(|all| all.stages.matches = Some(MatchReport { seconds, ..report }))?;
-        database.write_stage_rows(&self.records.rows())?;
-        database.close()?;
-        emit(watch, &Event::StageDone { stage: Stage::Match, seconds })
     }
 
     /// The fingerprint of a complete stage.

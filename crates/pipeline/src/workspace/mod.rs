@@ -15,6 +15,7 @@ pub(crate) mod records;
 pub(crate) mod report;
 pub(crate) mod rig_file;
 pub(crate) mod rig_report;
+pub(crate) mod stage_run;
 
 pub use database_scene::read_scene;
 pub use file_marks::PLY_MARK;

@@ -9,7 +9,6 @@ mod masks;
 pub(crate) mod options;
 
 use std::path::{Path, PathBuf};
-use std::time::Instant;
 
 use tiepoint_dense::fusion::{FusionImage, FusionOptions, fuse};
 use tiepoint_dense::stereo::{
@@ -30,8 +29,9 @@ use crate::stages::option_keys;
 use crate::workspace::file_names::{DENSE, DENSE_CLOUD, depth_map_path, model_path};
 use crate::workspace::model_output::{model_names, stage_model};
 use crate::workspace::model_photos::{check_sizes, photos_of, write_undistorted};
-use crate::workspace::records::{Progress, Recipe};
+use crate::workspace::records::Recipe;
 use crate::workspace::report::DenseReport;
+use crate::workspace::stage_run::{StageRequest, StageResult, StageRun};
 use crate::{DenseStep, Error, Event, Stage, Watch, Workspace, emit};
 
 const SPARSE: &str = "dense/sparse";
@@ -57,7 +57,6 @@ pub fn dense(
     redo: Option<Stage>,
     watch: Watch,
 ) -> Result<(), Error> {
-    const STAGE: Stage = Stage::Dense;
     let mut input = workspace.fingerprint(Stage::Map)?;
     let masks = match &options.masks {
         Some(folder) => Some(Masks::open(&workspace.records, folder)?),
@@ -67,11 +66,16 @@ pub fn dense(
         input = format!("{input} masked by {}", masks.fingerprint);
     }
     let recipe = Recipe::new(input, option_keys::dense_options(options));
-    let progress = workspace.begin(STAGE, &recipe, redo)?;
-    if progress == Progress::Kept {
-        return emit(watch, &Event::StageKept { stage: STAGE });
-    }
-    let start = Instant::now();
+    let request = StageRequest { stage: Stage::Dense, recipe, redo, inputs: None };
+    workspace.run_stage(request, watch, |run| estimate_and_fuse(run, options, masks))
+}
+
+fn estimate_and_fuse(
+    stage: &mut StageRun,
+    options: &DenseOptions,
+    masks: Option<Masks>,
+) -> Result<StageResult, Error> {
+    let workspace = &mut *stage.workspace;
     let folder = workspace.root().join(model_path(0));
     let model = read_model(&folder)?;
     let photos = photos_of(workspace.root(), None, &model)?;
@@ -88,7 +92,7 @@ pub fn dense(
     if problems.iter().all(|problem| problem.sources.is_empty() || problem.seeds.is_empty()) {
         return Err(Error::NothingDense { path: folder, images: problems.len() });
     }
-    if progress == Progress::Begin {
+    if stage.begins {
         remove_old_results(workspace, &undistorted)?;
     } else {
         // The record may still say that the stage is complete, although files of it were deleted.
@@ -98,37 +102,39 @@ pub fn dense(
     let mut run = Run::new(workspace, undistorted, problems, options, masks);
     let total = 3 * run.problems.len();
     let (done, has_all_depths) = run.count_done()?;
-    emit(watch, &Event::StageBegan { stage: STAGE, total, done })?;
+    emit(stage.watch, &Event::StageBegan { stage: Stage::Dense, total, done })?;
     run.write_model()?;
     for (index, (image, photo)) in photos.iter().enumerate() {
         if !run.is_undistorted(index)? {
             run.undistort(index, image, &model, photo)?;
-            run.done(DenseStep::Undistort, index, watch)?;
+            run.done(DenseStep::Undistort, index, stage.watch)?;
         }
     }
     for index in 0..run.problems.len() {
         if !has_all_depths && run.is_missing(&planes_file(run.name(index)))? {
             run.estimate_planes(index)?;
-            run.done(DenseStep::Planes, index, watch)?;
+            run.done(DenseStep::Planes, index, stage.watch)?;
         }
     }
     for index in 0..run.problems.len() {
         if !run.has_depths(index)? {
             run.estimate_depths(index)?;
-            run.done(DenseStep::Depths, index, watch)?;
+            run.done(DenseStep::Depths, index, stage.watch)?;
         }
     }
-    let (mut report, mut temporary) = run.fuse()?;
-    report.seconds = start.elapsed().as_secs_f64();
-    let seconds = report.seconds;
-    workspace.complete(STAGE);
+    let (report, mut temporary) = run.fuse()?;
     // Names of files that earlier runs or somebody removed leave the manifest.
     let folder = &workspace.folder;
     let names = folder.names().filter(|name| Path::new(name).starts_with(DENSE));
     temporary.extend(names.filter(|name| !folder.exists(name)).map(str::to_owned));
-    let fused = vec![VISIBILITY.to_owned(), DENSE_CLOUD.to_owned()];
-    workspace.publish(fused, &temporary, |all| all.stages.dense = Some(report))?;
-    emit(watch, &Event::StageDone { stage: STAGE, seconds })
+    Ok(StageResult {
+        files: vec![VISIBILITY.to_owned(), DENSE_CLOUD.to_owned()],
+        removed: temporary,
+        database: None,
+        report: Box::new(move |all, seconds| {
+            all.stages.dense = Some(DenseReport { seconds, ..report });
+        }),
+    })
 }
 
 fn image_file(image: &str) -> String {
