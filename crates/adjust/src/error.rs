@@ -23,6 +23,9 @@ pub enum Error {
     /// Error of a caller's own term.
     #[error(transparent)]
     Term(Box<dyn std::error::Error + Send + Sync>),
+    /// An option is out of its range.
+    #[error(transparent)]
+    Option(#[from] tiepoint_geometry::OptionError),
     /// Error of the optimiser.
     #[error(transparent)]
     Optimiser(#[from] tiepoint_ba::Error),

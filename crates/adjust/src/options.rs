@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use tiepoint_geometry::Loss;
+use tiepoint_geometry::{Loss, OptionError};
 use tiepoint_scene::{CameraId, ImageId, ImagePair, PointId, Reconstruction};
 
 use crate::noise::relative_noise;
@@ -84,6 +84,31 @@ pub struct AdjustOptions<'a> {
     pub max_iterations: usize,
     /// Relative decrease of the cost below which the adjustment ends.
     pub function_tolerance: f64,
+}
+
+impl AdjustOptions<'_> {
+    /// Checks the ranges.
+    ///
+    /// # Errors
+    ///
+    /// Names the first option that is out of range.
+    pub fn validate(&self) -> Result<(), OptionError> {
+        self.loss.validate()?;
+        for (name, value) in [
+            ("principal_point_sigma", self.principal_point_sigma),
+            ("distortion_sigma", self.distortion_sigma),
+            ("noise", self.noise),
+        ] {
+            OptionError::check_positive(name, value)?;
+        }
+        for prior in self.focal_priors {
+            OptionError::check_positive("focal_priors.mean_px", prior.mean_px)?;
+            OptionError::check_positive("focal_priors.sigma_px", prior.sigma_px)?;
+        }
+        let tolerance = self.function_tolerance;
+        let is_valid = (0.0..1.0).contains(&tolerance);
+        OptionError::check("function_tolerance", tolerance, is_valid, "0 to below 1")
+    }
 }
 
 impl Default for AdjustOptions<'_> {

@@ -31,6 +31,7 @@ pub fn adjust(
     terms: &mut [&mut dyn Term],
     watch: &mut dyn FnMut(&IterationRecord) -> ControlFlow<()>,
 ) -> Result<Summary, Error> {
+    options.validate()?;
     let mut frames =
         (!model.frames.is_empty()).then(|| RigidFrames::new(model, options.constant_rigs));
     let frames_term = frames.as_mut().map(|frames| frames as &mut dyn Term);

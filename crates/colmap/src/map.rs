@@ -72,6 +72,7 @@ pub fn map(
     watch: Watch,
 ) -> Result<Vec<MappedFolder>, Error> {
     let start = Instant::now();
+    options.mapper.validate()?;
     // Before any work is done. Named folders are replaced.
     let folder = |index: usize| match options.input {
         Some(_) => output.to_owned(),

@@ -122,7 +122,7 @@ impl ModelFolders {
                 folder.stage_bytes(&name, project.as_bytes())?;
                 staged.push(name);
             }
-            staged.extend(stage_model(&folder, Some(&index), model, format)?);
+            staged.extend(stage_model(folder, Some(&index), model, format)?);
         }
         // Other commands may have written other results into this folder.
         let of_model = names_with_project(None);

@@ -81,6 +81,7 @@ pub fn match_database(
 ) -> Result<MatchReport, Error> {
     let start = Instant::now();
     options.descriptors.validate()?;
+    options.verify.validate()?;
     let mut database = open_to_add(path)?;
     if let Some(image) = database.image_without_sift()? {
         return Err(Error::NoSift { path: path.to_owned(), image });

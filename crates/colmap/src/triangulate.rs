@@ -58,6 +58,8 @@ pub fn triangulate(
     options: &TriangulateOptions,
     watch: Watch,
 ) -> Result<MappedFolder, Error> {
+    options.tracks.validate()?;
+    options.filter.validate()?;
     let Opened { mut model, graph } = open(database, input, options.min_matches)?;
     if options.clears_points {
         let points: Vec<PointId> = model.tracks().map(|(point, _)| point).collect();

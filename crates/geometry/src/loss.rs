@@ -5,6 +5,8 @@
 //! residual norm at which the loss departs from the squared norm (Ceres, `loss_function.h`;
 //! Barron 2019 for Geman-McClure).
 
+use crate::OptionError;
+
 /// A robust loss with its scale.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum Loss {
@@ -26,6 +28,23 @@ pub enum Loss {
 }
 
 impl Loss {
+    /// Checks the scale.
+    ///
+    /// # Errors
+    ///
+    /// The scale is not finite and above 0.
+    pub fn validate(&self) -> Result<(), OptionError> {
+        match *self {
+            Loss::Trivial => Ok(()),
+            Loss::Huber(a)
+            | Loss::SoftL1(a)
+            | Loss::Cauchy(a)
+            | Loss::GemanMcClure(a)
+            | Loss::Tukey(a)
+            | Loss::Truncated(a) => OptionError::check_positive("loss scale", a),
+        }
+    }
+
     /// ρ(s), ρ'(s), ρ''(s) of a squared norm s ≥ 0.
     #[inline]
     pub fn evaluate(&self, s: f64) -> [f64; 3] {

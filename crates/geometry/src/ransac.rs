@@ -15,7 +15,7 @@
 use std::ops::Range;
 
 use crate::simd::LANES;
-use crate::{Loss, Rng};
+use crate::{Loss, OptionError, Rng};
 
 /// A model-fitting problem that [`ransac`] solves.
 pub trait Estimator {
@@ -54,6 +54,26 @@ pub struct RansacOptions {
     pub min_inlier_ratio: f64,
     /// Seed of the random numbers.
     pub seed: u64,
+}
+
+impl RansacOptions {
+    /// Checks the ranges.
+    ///
+    /// # Errors
+    ///
+    /// Names the first option that is out of range.
+    pub fn validate(&self) -> Result<(), OptionError> {
+        let Self {
+            max_error, confidence, min_iterations, max_iterations, min_inlier_ratio, ..
+        } = *self;
+        OptionError::check_positive("max_error", max_error)?;
+        let is_valid = confidence > 0.0 && confidence < 1.0;
+        OptionError::check("confidence", confidence, is_valid, "above 0 and below 1")?;
+        OptionError::check_ratio("min_inlier_ratio", min_inlier_ratio)?;
+        let is_valid = max_iterations >= min_iterations.max(1);
+        let range = "at least min_iterations, and at least 1";
+        OptionError::check("max_iterations", max_iterations as f64, is_valid, range)
+    }
 }
 
 impl Default for RansacOptions {

@@ -18,6 +18,10 @@ use crate::{Error, ImageFolder};
 const END: u64 = 64 << 10;
 
 /// Fingerprint of all images of a folder. An unreadable image has a hash of zeros.
+///
+/// # Errors
+///
+/// A file is no regular file, or cannot be read.
 pub fn fingerprint(folder: &ImageFolder) -> Result<String, Error> {
     let hashes: Vec<[u8; 32]> = (0..folder.images().len())
         .into_par_iter()
@@ -33,11 +37,19 @@ pub fn fingerprint(folder: &ImageFolder) -> Result<String, Error> {
 }
 
 /// Fingerprint of one image file.
+///
+/// # Errors
+///
+/// A file is no regular file, or cannot be read.
 pub fn of_photo(path: &Path) -> io::Result<String> {
     Ok(blake3::Hash::from_bytes(hash_ends(path)?).to_hex().to_string())
 }
 
 /// Fingerprint of a small file, of its whole content.
+///
+/// # Errors
+///
+/// A file is no regular file, or cannot be read.
 pub fn hash_file(path: &Path) -> Result<String, Error> {
     require_regular_file(path)?;
     let bytes = std::fs::read(path).map_err(tiepoint_store::Error::unreadable(path))?;
@@ -45,22 +57,30 @@ pub fn hash_file(path: &Path) -> Result<String, Error> {
 }
 
 /// Fingerprint of a list of files, without their names.
+///
+/// # Errors
+///
+/// A file is no regular file, or cannot be read.
 pub fn hash_file_ends(paths: &[PathBuf]) -> Result<String, Error> {
     let mut all = blake3::Hasher::new();
     for path in paths {
         require_regular_file(path)?;
-        all.update(&hash_ends(path).map_err(tiepoint_store::Error::unreadable(&path))?);
+        all.update(&hash_ends(path).map_err(tiepoint_store::Error::unreadable(path))?);
     }
     Ok(all.finalize().to_hex().to_string())
 }
 
 /// Fingerprint of a list of files, of their whole contents, without their names.
+///
+/// # Errors
+///
+/// A file is no regular file, or cannot be read.
 pub fn hash_files(paths: &[PathBuf]) -> Result<String, Error> {
     let mut all = blake3::Hasher::new();
     for path in paths {
         require_regular_file(path)?;
         let hash = hash_contents(path);
-        all.update(&hash.map_err(tiepoint_store::Error::unreadable(&path))?);
+        all.update(&hash.map_err(tiepoint_store::Error::unreadable(path))?);
     }
     Ok(all.finalize().to_hex().to_string())
 }

@@ -471,6 +471,9 @@ pub enum Error {
     /// A file cannot be read or written.
     #[error(transparent)]
     File(#[from] tiepoint_io::Error),
+    /// An option is out of its range.
+    #[error(transparent)]
+    Option(#[from] tiepoint_sfm::geometry::OptionError),
     /// Feature extraction failed.
     #[error(transparent)]
     Features(#[from] tiepoint_io::features::Error),

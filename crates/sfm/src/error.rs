@@ -25,6 +25,9 @@ pub enum Error {
         /// Images with a pose.
         images: usize,
     },
+    /// An option is out of its range.
+    #[error(transparent)]
+    Option(#[from] tiepoint_geometry::OptionError),
     /// No image of a model is in the scene.
     #[error(
         "none of its {images} images is among the images of the workspace: images are compared \

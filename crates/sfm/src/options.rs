@@ -1,7 +1,7 @@
 //! Options of the mapper.
 
 use tiepoint_adjust::RefineIntrinsics;
-use tiepoint_geometry::Loss;
+use tiepoint_geometry::{Loss, OptionError};
 
 use crate::register::RegisterOptions;
 use crate::rolling_shutter::Readout;
@@ -74,6 +74,38 @@ pub struct MapperOptions {
     pub readout: Option<Readout>,
     /// Seed of all random numbers.
     pub seed: u64,
+}
+
+impl MapperOptions {
+    /// Checks the ranges.
+    ///
+    /// # Errors
+    ///
+    /// Names the first option that is out of range.
+    pub fn validate(&self) -> Result<(), OptionError> {
+        self.tracks.validate()?;
+        self.filter.validate()?;
+        self.register.validate()?;
+        self.loss.validate()?;
+        for (name, value, least) in [
+            ("min_initial_inliers", self.min_initial_inliers, 1),
+            // The new image and one that it shares points with.
+            ("local_images", self.local_images, 2),
+        ] {
+            let range = if least == 1 { "at least 1" } else { "at least 2" };
+            OptionError::check(name, value as f64, value >= least, range)?;
+        }
+        let growth = self.global_growth;
+        let is_valid = growth.is_finite() && growth > 1.0;
+        OptionError::check("global_growth", growth, is_valid, "finite and above 1")?;
+        match self.readout {
+            // It is negative if the last row is exposed first.
+            Some(Readout::Known(seconds)) => {
+                OptionError::check("readout", seconds, seconds.is_finite(), "finite")
+            }
+            Some(Readout::Estimated) | None => Ok(()),
+        }
+    }
 }
 
 impl Default for MapperOptions {

@@ -105,9 +105,9 @@ mod tests {
         assert!(matches!(put("other", &[], Some(mark)), Err(Error::ForeignFile { .. })));
         assert!(matches!(put("mine", &[&path], None), Err(Error::IsInput { .. })));
         assert_eq!(fs::read(&path).unwrap(), b"mine");
-        fs::write(&path, format!("1 2 3\n# made by us was wrong here\n")).unwrap();
+        fs::write(&path, "1 2 3\n# made by us was wrong here\n").unwrap();
         assert!(matches!(put("other", &[], Some(mark)), Err(Error::ForeignFile { .. })));
-        fs::write(&path, format!("# made by us\n1 2 3\n")).unwrap();
+        fs::write(&path, "# made by us\n1 2 3\n").unwrap();
         put("other", &[], Some(mark)).unwrap();
         assert_eq!(fs::read(&path).unwrap(), b"other");
         assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 1);

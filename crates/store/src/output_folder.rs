@@ -119,7 +119,7 @@ impl OutputFolder {
                 self.manifest.files.entry(name.clone()).or_default().insert(hash);
             }
         }
-        Ok(self.manifest.write(self.root.path())?)
+        self.manifest.write(self.root.path())
     }
 
     /// Sets the names of files that are never foreign, whatever their content.

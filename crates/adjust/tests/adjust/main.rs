@@ -4,6 +4,7 @@
 
 mod common;
 mod lens;
+mod options;
 mod selection;
 #[path = "../../src/shared_lens.rs"]
 mod shared_lens;

@@ -304,6 +304,15 @@ fn options_are_those_of_colmap() {
     run("mapper --Mapper.min_model_size many").failed(1, &["min_model_size", "whole number"]);
     run("mapper --Mapper.num_threads").failed(1, &["num_threads has no value"]);
     run("mapper").failed(1, &["--database_path"]);
+    let files = "--database_path {}/no.db --image_path {}/empty --output_path {}/out";
+    for (option, name) in [
+        ("ba_local_num_images 0", "ba_local_num_images"),
+        ("ba_global_images_ratio 0.5", "ba_global_images_ratio"),
+        ("tri_min_angle -1", "tri_min_angle"),
+        ("filter_max_reproj_error nan", "filter_max_reproj_error"),
+    ] {
+        run(&format!("mapper {files} --Mapper.{option}")).failed(1, &["--Mapper.", name]);
+    }
     let line = "feature_extractor --database_path {}/x.db --image_path {}/empty";
     run(line).failed(1, &["empty", "no images"]);
     let tuned = run(&format!("{line} --FeatureExtraction.use_gpu true --log_level=0"));

@@ -492,3 +492,27 @@ proptest! {
         }
     }
 }
+
+/// A confidence of 0 or 1 and negative or undefined thresholds are refused by name.
+#[test]
+fn wrong_options_of_ransac_are_refused_by_name() {
+    RansacOptions::default().validate().unwrap();
+    let default = RansacOptions::default();
+    for value in [-1.0, f64::NAN, f64::INFINITY] {
+        for (name, options) in [
+            ("max_error", RansacOptions { max_error: value, ..default }),
+            ("confidence", RansacOptions { confidence: value, ..default }),
+            ("min_inlier_ratio", RansacOptions { min_inlier_ratio: value, ..default }),
+        ] {
+            assert_eq!(options.validate().unwrap_err().name, name, "{value}");
+        }
+    }
+    for options in [
+        RansacOptions { confidence: 0.0, ..default },
+        RansacOptions { confidence: 1.0, ..default },
+        RansacOptions { max_iterations: 0, min_iterations: 0, ..default },
+        RansacOptions { max_iterations: 5, min_iterations: 6, ..default },
+    ] {
+        options.validate().unwrap_err();
+    }
+}

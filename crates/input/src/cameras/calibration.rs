@@ -80,6 +80,10 @@ impl CalibrationSource {
     }
 
     /// The source with the fingerprint of the file in place of its path.
+    ///
+    /// # Errors
+    ///
+    /// The file cannot be read.
     pub fn fingerprint(&self) -> Result<String, Error> {
         let (pattern, camera) = (self.pattern.as_deref(), self.camera.as_deref());
         let hash = hash_file(&self.path)?;
@@ -241,6 +245,10 @@ struct Assigned {
 
 /// The calibrated camera of upright photos with this name, width and height; an error if they do
 /// not fit.
+///
+/// # Errors
+///
+/// The calibration is of another size than the photo, as a sentence.
 pub fn camera_of_photo(
     calibration: &CameraCalibration,
     photo: &str,

@@ -162,9 +162,9 @@ impl ImageFolder {
     ///
     /// A file with the name of an image is skipped if it is not a regular file, or if a model
     /// cannot hold its name; the same holds for the images below a folder with such a name. Images
-    /// that the [`MANIFEST`](crate::MANIFEST) of a sub-folder names were written by this program
-    /// and are ignored. Images that the manifest of the input itself names are ignored unless there
-    /// are no others.
+    /// that the [`MANIFEST`](tiepoint_store::MANIFEST) of a sub-folder names were written by this
+    /// program and are ignored. Images that the manifest of the input itself names are ignored
+    /// unless there are no others.
     ///
     /// # Errors
     ///

@@ -356,7 +356,7 @@ fn export_gsplat(
         let staged = folder.stage(ROWS)?;
         gsplat::write(&staged, &model, IMAGES, &rows)
             .map_err(|error| renamed(error, &staged, &to.join(ROWS)))?;
-        let mut staged = stage_model(&folder, Some(SPARSE), &model, Format::Binary)?;
+        let mut staged = stage_model(folder, Some(SPARSE), &model, Format::Binary)?;
         staged.push(ROWS.to_owned());
         Ok(staged)
     })

@@ -163,6 +163,8 @@ pub fn localize(
     let start = Instant::now();
     options.descriptors.validate()?;
     options.detector.validate()?;
+    options.verify.validate()?;
+    options.register.validate()?;
     let photos = ImageFolder::open(inputs, options.masks.as_deref())?;
     let photos = photos.with_max_pixels(options.max_pixels);
     let calibrations = Calibrations::read(&options.calibration_files, &photos)?;

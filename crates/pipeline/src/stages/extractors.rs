@@ -28,6 +28,10 @@ impl Extractors {
     }
 
     /// Extracts the features of an image, where its mask is not 0.
+    ///
+    /// # Errors
+    ///
+    /// The image is too small or too large for the detector.
     pub fn extract(&self, image: &Luma, mask: Option<&Luma>) -> Result<Features, Error> {
         let idle = self.idle().pop();
         let mut sift = idle.map_or_else(|| Sift::new(self.options), Ok)?;
@@ -37,6 +41,10 @@ impl Extractors {
     }
 
     /// Extracts the features of a photo, where its mask is not 0.
+    ///
+    /// # Errors
+    ///
+    /// The photo or its mask cannot be read, and those of [`Extractors::extract`].
     pub fn extract_photo(&self, photos: &ImageFolder, index: usize) -> Result<Features, Error> {
         let (image, mask) = (photos.luma(index)?, photos.mask(index)?);
         self.extract(&image, mask.as_ref())

@@ -51,7 +51,7 @@ pub fn import_features(
     let fingerprint = hash_files(&files_of(file))?;
     let recipe =
         Recipe::new(fingerprint.clone(), option_keys::database_options(&fingerprint, has_pairs));
-    let absolute = |path: &PathBuf| path.canonicalize().map_err(Error::unreadable(&path));
+    let absolute = |path: &PathBuf| path.canonicalize().map_err(Error::unreadable(path));
     let inputs: Vec<PathBuf> = inputs.iter().map(absolute).collect::<Result<_, _>>()?;
     workspace.folder.protect([file]);
     let request = StageRequest { stage: Stage::Features, recipe, redo, inputs: Some(inputs) };

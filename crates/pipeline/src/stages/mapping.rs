@@ -114,6 +114,7 @@ impl<'a> MapRequest<'a> {
         } else if of_features(option_names::INTRINSICS) {
             mapper.refine = RefineIntrinsics::NONE;
         }
+        mapper.validate()?;
         let mut texts = option_keys::mapping_options(&mapper, baseline_m);
         let has_known = input_model.is_some()
             || rig_calibration.is_some()

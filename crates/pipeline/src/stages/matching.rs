@@ -101,6 +101,7 @@ pub fn match_images(
     watch: Watch,
 ) -> Result<(), Error> {
     options.descriptors.validate()?;
+    options.verify.validate()?;
     if has_imported_pairs(workspace, redo) {
         return verify_imported_pairs(workspace, &options.verify, options.seed, redo, watch);
     }

@@ -143,7 +143,7 @@ fn videos(inputs: &[PathBuf]) -> Result<Vec<PathBuf>, Error> {
     for input in inputs {
         if input.is_dir() {
             let entries = fs::read_dir(input).and_then(Iterator::collect::<Result<Vec<_>, _>>);
-            let entries = entries.map_err(Error::unreadable(&input))?;
+            let entries = entries.map_err(Error::unreadable(input))?;
             let mut here: Vec<PathBuf> = entries.into_iter().map(|entry| entry.path()).collect();
             here.sort();
             // Photos that are not read are named beside the photos, not passed over for videos.

@@ -7,6 +7,10 @@ use crate::Error;
 use crate::workspace::keypoints::keypoint;
 
 /// The scene of a database without poses. Cameras and images have the order of the database.
+///
+/// # Errors
+///
+/// The database cannot be read.
 pub fn read_scene(database: &Database) -> Result<Reconstruction, Error> {
     let mut scene = Reconstruction::default();
     for camera in database.read_cameras()? {

@@ -58,6 +58,9 @@ impl StageRun<'_, '_> {
     }
 }
 
+/// Writes the section of a stage into the report, given its duration in seconds.
+type WriteReport = Box<dyn FnOnce(&mut Report, f64)>;
+
 /// What a stage made.
 pub(crate) struct StageResult {
     /// Names of the staged files; the last one is the one that readers look for first.
@@ -66,8 +69,8 @@ pub(crate) struct StageResult {
     pub(crate) removed: Vec<String>,
     /// The database, if it has the results.
     pub(crate) database: Option<Database>,
-    /// Writes the section of the report, given the duration of the stage in seconds.
-    pub(crate) report: Box<dyn FnOnce(&mut Report, f64)>,
+    /// Its section of the report.
+    pub(crate) report: WriteReport,
 }
 
 impl StageResult {

@@ -46,6 +46,7 @@ pub fn extend(
     options: &MapperOptions,
     watch: &mut dyn FnMut(&Event) -> ControlFlow<()>,
 ) -> Result<Vec<MappedModel>, Error> {
+    options.validate()?;
     let mut start = existing.model.clone();
     (start.rigs, start.frames) = (Vec::new(), Vec::new());
     let poses: Vec<(ImageId, Rigid3)> =

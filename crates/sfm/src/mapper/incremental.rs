@@ -64,6 +64,7 @@ fn map_all(
     options: &MapperOptions,
     watch: &mut dyn FnMut(&Event) -> ControlFlow<()>,
 ) -> Result<Vec<MappedModel>, Error> {
+    options.validate()?;
     let mut options = *options;
     options.tracks.two_view |= graph.num_images() == 2;
     let options = &options;

@@ -9,7 +9,7 @@ use std::collections::BTreeSet;
 
 use tiepoint_geometry::estimate::{RigCamera, RigObservation};
 use tiepoint_geometry::nalgebra::{Vector2, Vector3};
-use tiepoint_geometry::{RansacOptions, Report, Rigid3, estimate};
+use tiepoint_geometry::{OptionError, RansacOptions, Report, Rigid3, estimate};
 use tiepoint_scene::{
     Camera, CorrespondenceGraph, Frame, ImageId, KnownFrame, Observation, PointId, Reconstruction,
 };
@@ -34,6 +34,20 @@ pub struct RegisterOptions {
     pub min_num_inliers: usize,
     /// Minimum fraction of inliers.
     pub min_inlier_ratio: f64,
+}
+
+impl RegisterOptions {
+    /// Checks the ranges.
+    ///
+    /// # Errors
+    ///
+    /// Names the first option that is out of range.
+    pub fn validate(&self) -> Result<(), OptionError> {
+        OptionError::check_positive("register.max_error_px", self.max_error_px)?;
+        let least = self.min_num_inliers;
+        OptionError::check("register.min_num_inliers", least as f64, least >= 1, "at least 1")?;
+        OptionError::check_ratio("register.min_inlier_ratio", self.min_inlier_ratio)
+    }
 }
 
 impl Default for RegisterOptions {

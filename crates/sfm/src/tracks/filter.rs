@@ -3,6 +3,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use tiepoint_geometry::OptionError;
 use tiepoint_geometry::nalgebra::Vector3;
 use tiepoint_geometry::numeric::median;
 use tiepoint_scene::{Image, ImageId, Observation, PointId, Reconstruction};
@@ -14,6 +15,18 @@ pub struct FilterOptions {
     pub max_error_px: f64,
     /// Minimum of the largest triangulation angle of a point, in radians.
     pub min_angle_rad: f64,
+}
+
+impl FilterOptions {
+    /// Checks the ranges.
+    ///
+    /// # Errors
+    ///
+    /// Names the first option that is out of range.
+    pub fn validate(&self) -> Result<(), OptionError> {
+        OptionError::check_positive("filter.max_error_px", self.max_error_px)?;
+        OptionError::check_angle("filter.min_angle_rad", self.min_angle_rad)
+    }
 }
 
 impl Default for FilterOptions {

@@ -6,6 +6,7 @@
 use std::collections::{BTreeSet, VecDeque};
 
 use tiepoint_adjust::view_ray;
+use tiepoint_geometry::OptionError;
 use tiepoint_geometry::nalgebra::Vector3;
 use tiepoint_geometry::triangulate::{ViewRay, triangulate};
 use tiepoint_scene::{CorrespondenceGraph, ImageId, Observation, PointId, Reconstruction, Track};
@@ -25,6 +26,20 @@ pub struct TrackOptions {
     pub two_view: bool,
     /// Maximum number of correspondences between a track and an observation that completes it.
     pub max_transitivity: usize,
+}
+
+impl TrackOptions {
+    /// Checks the ranges.
+    ///
+    /// # Errors
+    ///
+    /// Names the first option that is out of range.
+    pub fn validate(&self) -> Result<(), OptionError> {
+        let Self { max_create_error_px, max_merge_error_px, min_angle_rad, .. } = *self;
+        OptionError::check_positive("tracks.max_create_error_px", max_create_error_px)?;
+        OptionError::check_positive("tracks.max_merge_error_px", max_merge_error_px)?;
+        OptionError::check_angle("tracks.min_angle_rad", min_angle_rad)
+    }
 }
 
 impl Default for TrackOptions {

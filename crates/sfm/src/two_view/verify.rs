@@ -8,7 +8,7 @@
 
 use tiepoint_geometry::estimate;
 use tiepoint_geometry::nalgebra::Vector2;
-use tiepoint_geometry::{RansacOptions, epipolar};
+use tiepoint_geometry::{OptionError, RansacOptions, epipolar};
 use tiepoint_scene::{Camera, Keypoint, Match, TwoView, TwoViewKind};
 
 use super::focal::with_focal;
@@ -26,6 +26,21 @@ pub struct VerifyOptions {
     /// A homography with more than this fraction of the inliers indicates a plane or a pure
     /// rotation.
     pub max_h_inlier_ratio: f64,
+}
+
+impl VerifyOptions {
+    /// Checks the ranges.
+    ///
+    /// # Errors
+    ///
+    /// Names the first option that is out of range.
+    pub fn validate(&self) -> Result<(), OptionError> {
+        OptionError::check_positive("verify.max_error_px", self.max_error_px)?;
+        let least = self.min_num_inliers;
+        OptionError::check("verify.min_num_inliers", least as f64, least >= 1, "at least 1")?;
+        OptionError::check_ratio("verify.min_e_f_inlier_ratio", self.min_e_f_inlier_ratio)?;
+        OptionError::check_ratio("verify.max_h_inlier_ratio", self.max_h_inlier_ratio)
+    }
 }
 
 impl Default for VerifyOptions {

@@ -10,6 +10,7 @@ mod lens;
 mod loop_closure;
 mod mapper;
 mod merge_by_motion;
+mod options;
 mod point_selection;
 mod repetition;
 mod rig;

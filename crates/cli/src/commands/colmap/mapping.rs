@@ -6,6 +6,7 @@ use tiepoint_colmap::{
     MapDatabaseOptions, MappedFolder, TriangulateOptions, configure_rigs, map, register,
     triangulate,
 };
+use tiepoint_pipeline::sfm::geometry::OptionError;
 use tiepoint_pipeline::sfm::{
     FilterOptions, MapperOptions, RefineIntrinsics, RegisterOptions, TrackOptions,
 };
@@ -102,18 +103,20 @@ fn map_options(options: &Options) -> Result<MapDatabaseOptions, String> {
         false => 1,
     };
     let names = options.lines("image_list_path")?;
+    let mapper = MapperOptions {
+        refine: refine(options, "Mapper.ba_"),
+        tracks: tracks(options)?,
+        filter: filter(options)?,
+        register: registration(options)?,
+        min_model_size: options.number("Mapper.min_model_size")?,
+        local_images: options.number("Mapper.ba_local_num_images")?,
+        global_growth: options.number("Mapper.ba_global_images_ratio")?,
+        seed: options.seed()?,
+        ..MapperOptions::default()
+    };
+    mapper.validate().map_err(by_flag)?;
     Ok(MapDatabaseOptions {
-        mapper: MapperOptions {
-            refine: refine(options, "Mapper.ba_"),
-            tracks: tracks(options)?,
-            filter: filter(options)?,
-            register: registration(options)?,
-            min_model_size: options.number("Mapper.min_model_size")?,
-            local_images: options.number("Mapper.ba_local_num_images")?,
-            global_growth: options.number("Mapper.ba_global_images_ratio")?,
-            seed: options.seed()?,
-            ..MapperOptions::default()
-        },
+        mapper,
         names: names.map(|names| names.into_iter().collect()),
         min_matches: options.number("Mapper.min_num_matches")?,
         max_models: models,
@@ -123,6 +126,25 @@ fn map_options(options: &Options) -> Result<MapDatabaseOptions, String> {
         constant_poses: options.flag("Mapper.fix_existing_images"),
         project: Some(options.project()),
     })
+}
+
+/// An option out of its range, under COLMAP's name.
+fn by_flag(OptionError { name, range, .. }: OptionError) -> String {
+    let flag = match name {
+        "tracks.max_merge_error_px" => "tri_merge_max_reproj_error",
+        "tracks.min_angle_rad" => "tri_min_angle",
+        "filter.max_error_px" => "filter_max_reproj_error",
+        "filter.min_angle_rad" => "filter_min_tri_angle",
+        "register.max_error_px" => "abs_pose_max_error",
+        "register.min_num_inliers" => "abs_pose_min_num_inliers",
+        "register.min_inlier_ratio" => "abs_pose_min_inlier_ratio",
+        "local_images" => "ba_local_num_images",
+        "global_growth" => "ba_global_images_ratio",
+        other => other,
+    };
+    // COLMAP's angles are in degrees.
+    let range = if name.ends_with("_rad") { "0 to 180" } else { range };
+    format!("--Mapper.{flag} is out of range: {range}")
 }
 
 /// What the options with a prefix refine. Two focal lengths are two parameters, as in COLMAP.

@@ -57,6 +57,7 @@ pub fn dense(
     redo: Option<Stage>,
     watch: Watch,
 ) -> Result<(), Error> {
+    options.validate()?;
     let mut input = workspace.fingerprint(Stage::Map)?;
     let masks = match &options.masks {
         Some(folder) => Some(Masks::open(&workspace.records, folder)?),
@@ -269,7 +270,7 @@ impl<'a> Run<'a> {
     /// Writes the undistorted model and the lists of images.
     fn write_model(&mut self) -> Result<(), Error> {
         let folder = &self.workspace.folder;
-        let mut names = stage_model(&folder, Some(SPARSE), &self.model, Format::Binary)?;
+        let mut names = stage_model(folder, Some(SPARSE), &self.model, Format::Binary)?;
         let (mut stereo, mut fusion) = (String::new(), String::new());
         for problem in &self.problems {
             let name = &self.model.image(problem.image).name;

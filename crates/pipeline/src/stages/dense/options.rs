@@ -1,5 +1,7 @@
 use std::path::PathBuf;
 
+use tiepoint_sfm::geometry::OptionError;
+
 /// Options of dense reconstruction.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct DenseOptions {
@@ -13,6 +15,21 @@ pub struct DenseOptions {
     pub write_normal_maps: bool,
     /// Whether to write the depth maps also as PNG of 16 bits, with one scale for all.
     pub write_depth_pngs: bool,
+}
+
+impl DenseOptions {
+    /// Checks the ranges.
+    ///
+    /// # Errors
+    ///
+    /// Names the first option that is out of range.
+    pub fn validate(&self) -> Result<(), OptionError> {
+        if let Some(size) = self.max_image_size {
+            OptionError::check("max_image_size", size.into(), size >= 1, "at least 1")?;
+        }
+        let sources = self.sources;
+        OptionError::check("sources", sources as f64, sources >= 1, "at least 1")
+    }
 }
 
 impl Default for DenseOptions {
