@@ -4,7 +4,7 @@
 use libfuzzer_sys::fuzz_target;
 
 use tiepoint_fuzz::{files, folder};
-use tiepoint_pipeline::models::{ExportFormat, export, export_rigid};
+use tiepoint_pipeline::models::{ExportFormat, ExportSource, export, export_rigid};
 
 fuzz_target!(|data: &[u8]| {
     let dir = folder();
@@ -20,6 +20,8 @@ fuzz_target!(|data: &[u8]| {
     ];
     std::fs::create_dir_all(&model).expect("memory is writable");
     files(&model, &names, data);
+    let workspace = dir.join("ws");
+    let source = ExportSource { model: &workspace, images: None };
     for (format, to) in [
         (ExportFormat::Colmap, "binary"),
         (ExportFormat::ColmapText, "text"),
@@ -30,7 +32,7 @@ fuzz_target!(|data: &[u8]| {
         (ExportFormat::Bal, "bal.txt"),
         (ExportFormat::Kalibr, "camchain.yaml"),
     ] {
-        let _ = export(&dir.join("ws"), format, &dir.join(to));
+        let _ = export(&source, format, &dir.join(to));
     }
-    let _ = export_rigid(&dir.join("ws"), ExportFormat::Colmap, &dir.join("rigid"));
+    let _ = export_rigid(&source, ExportFormat::Colmap, &dir.join("rigid"));
 });

@@ -4,7 +4,7 @@
 use libfuzzer_sys::fuzz_target;
 
 use tiepoint_fuzz::{TIMES, folder, write, write_model};
-use tiepoint_pipeline::models::{ExportFormat, export, export_rigid};
+use tiepoint_pipeline::models::{ExportFormat, ExportSource, export, export_rigid};
 
 fuzz_target!(|data: &[u8]| {
     let dir = folder();
@@ -12,9 +12,11 @@ fuzz_target!(|data: &[u8]| {
     write(&dir.join("ws/rig.json"), data);
     write(&dir.join("ws/timestamps.csv"), TIMES.as_bytes());
     let chain = dir.join("camchain.yaml");
-    if export(&dir.join("ws"), ExportFormat::Kalibr, &chain).is_ok() {
+    let workspace = dir.join("ws");
+    let source = ExportSource { model: &workspace, images: None };
+    if export(&source, ExportFormat::Kalibr, &chain).is_ok() {
         let text = std::fs::read_to_string(&chain).expect("it was written");
         assert!(!text.contains("NaN") && !text.contains("inf"), "{text}");
     }
-    let _ = export_rigid(&dir.join("ws"), ExportFormat::Colmap, &dir.join("rigid"));
+    let _ = export_rigid(&source, ExportFormat::Colmap, &dir.join("rigid"));
 });

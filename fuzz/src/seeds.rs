@@ -54,9 +54,9 @@ fn main() -> Outcome {
     put(
         "images",
         "progressive.jpg",
-        include_bytes!("../../crates/io/tests/data/gradient_progressive.jpg"),
+        include_bytes!("../../crates/input/tests/data/gradient_progressive.jpg"),
     );
-    put("images", "cmyk.jpg", include_bytes!("../../crates/io/tests/data/red_cmyk.jpg"));
+    put("images", "cmyk.jpg", include_bytes!("../../crates/input/tests/data/red_cmyk.jpg"));
     let exif = [
         b"II*\0\x08\0\0\0".as_slice(),
         &[
