@@ -794,7 +794,7 @@ impl Listing {
 }
 
 /// The first of some names, and the number of the others.
-fn first_names(names: &[&str]) -> String {
+pub(crate) fn first_names(names: &[&str]) -> String {
     let shown: Vec<String> =
         names.iter().take(MAX_NOTED_NAMES).map(|name| escaped(Path::new(name))).collect();
     match names.len() - shown.len() {

@@ -512,6 +512,32 @@ fn exif_gives_focal_length_and_time() {
 }
 
 #[test]
+fn the_time_is_that_of_the_best_field_with_a_date() {
+    const AT_S: f64 = 1_709_210_096.0;
+    let ascii = |text: &str| Value::Ascii(vec![text.as_bytes().to_vec()]);
+    let at = |second: u32| ascii(&format!("2024:02:29 12:34:{second}"));
+    let blank = || ascii("    :  :     :  :  ");
+    use Tag as T;
+    let cases: [(&[(Tag, Value)], f64); 8] = [
+        (&[(T::DateTimeOriginal, at(56)), (T::DateTimeDigitized, at(57))], 0.0),
+        (&[(T::DateTimeDigitized, at(57)), (T::DateTime, at(58))], 1.0),
+        (&[(T::DateTimeOriginal, blank()), (T::DateTime, at(58))], 2.0),
+        // The fraction of another field is not taken.
+        (&[(T::DateTime, at(58)), (T::SubSecTimeOriginal, ascii("5"))], 2.0),
+        (&[(T::DateTime, at(58)), (T::SubSecTime, ascii("5 "))], 2.5),
+        (&[(T::DateTimeOriginal, at(56)), (T::SubSecTimeOriginal, ascii("1e5"))], 0.1),
+        (&[(T::DateTimeOriginal, at(56)), (T::SubSecTimeOriginal, ascii("-25"))], 0.0),
+        (&[(T::DateTimeOriginal, Value::Undefined(b"2024:02:29 12:34:56.5\0".to_vec(), 0))], 0.5),
+    ];
+    let jpeg = encoded(&gradient().into(), ImageFormat::Jpeg);
+    for (fields, after_s) in cases {
+        let dir = folder(&[("a.jpg", with_exif(&jpeg, fields))]);
+        let time_s = open(dir.path()).unwrap().info(0).unwrap().time_s;
+        assert_eq!(time_s, Some(AT_S + after_s), "{fields:?}");
+    }
+}
+
+#[test]
 fn errors_name_damaged_images() {
     let jpeg = encoded(&gradient().into(), ImageFormat::Jpeg);
     let png = encoded(&gradient().into(), ImageFormat::Png);

@@ -205,6 +205,7 @@ impl Survey<'_> {
     fn notes(&self) -> Vec<String> {
         let mut notes = self.photos.notes.clone();
         notes.extend(self.photos.folder.notes_on_bits());
+        notes.extend(self.photos.notes_on_times(&self.usable, &self.times));
         notes
     }
 
