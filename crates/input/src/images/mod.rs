@@ -5,7 +5,9 @@
 mod depth_scale;
 mod exif;
 mod folder;
+mod folder_names;
 mod jpeg;
+mod masks;
 mod pixels;
 mod reduce;
 

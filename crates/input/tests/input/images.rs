@@ -20,7 +20,7 @@ fn gradient() -> RgbImage {
     RgbImage::from_fn(24, 16, |x, y| Pixel([(10 * x) as u8, (10 * x) as u8, (15 * y) as u8]))
 }
 
-fn encoded(image: &DynamicImage, format: ImageFormat) -> Vec<u8> {
+pub(crate) fn encoded(image: &DynamicImage, format: ImageFormat) -> Vec<u8> {
     let mut bytes = Vec::new();
     match format {
         ImageFormat::Jpeg => {
@@ -49,7 +49,7 @@ fn with_exif(jpeg: &[u8], fields: &[(Tag, Value)]) -> Vec<u8> {
     [&jpeg[..2], &[0xFF, 0xE1], &length, &segment, &jpeg[2..]].concat()
 }
 
-fn folder(files: &[(&str, Vec<u8>)]) -> tempfile::TempDir {
+pub(crate) fn folder(files: &[(&str, Vec<u8>)]) -> tempfile::TempDir {
     let dir = tempfile::tempdir().unwrap();
     for (name, bytes) in files {
         let path = dir.path().join(name);
@@ -59,7 +59,7 @@ fn folder(files: &[(&str, Vec<u8>)]) -> tempfile::TempDir {
     dir
 }
 
-fn open(dir: &Path) -> Result<ImageFolder, tiepoint_io::Error> {
+pub(crate) fn open(dir: &Path) -> Result<ImageFolder, tiepoint_io::Error> {
     ImageFolder::open(&[dir.to_owned()], None)
 }
 
