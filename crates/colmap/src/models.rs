@@ -7,6 +7,7 @@ use std::time::Instant;
 
 use serde::Serialize;
 use tiepoint_pipeline::io::colmap::{Format, read_model};
+use tiepoint_pipeline::io::names::ByName;
 use tiepoint_pipeline::io::{ply, positions, similarity};
 use tiepoint_pipeline::models::{AdjustReport, SimilarityInfo};
 use tiepoint_pipeline::sfm::geometry::nalgebra::{Matrix3, UnitQuaternion, Vector3};
@@ -120,7 +121,7 @@ pub fn align(
     let (new_from_old, mean_distance) = match to {
         AlignedTo::Plane => (plane_from_world(&model).map_err(failed)?, None),
         AlignedTo::Positions { path, max_error, min_common_images } => {
-            let file = positions::read(path)?;
+            let file = ByName::new(positions::read(path)?);
             inputs.push(path.to_owned());
             let (from, to): (Vec<Vector3<f64>>, Vec<Vector3<f64>>) = model
                 .registered()

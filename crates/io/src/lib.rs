@@ -18,6 +18,7 @@ pub mod gsplat;
 pub mod kitti;
 #[cfg(feature = "las")]
 pub mod las;
+pub mod names;
 pub mod nerfstudio;
 pub mod openmvs;
 pub mod ply;

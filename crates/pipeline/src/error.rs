@@ -275,6 +275,17 @@ pub enum Error {
         /// The model.
         model: PathBuf,
     },
+    /// A format that holds one pose a line was asked for, and poses are missing between others.
+    #[error(
+        "{model} has no poses of frames {frames}, and every later line of a KITTI file would be of \
+        a wrong frame: export to tum, with times, or to colmap-text"
+    )]
+    TrajectoryGaps {
+        /// The model.
+        model: PathBuf,
+        /// The numbers of the frames.
+        frames: String,
+    },
     /// A model cannot be compared with the ground truth.
     #[error("cannot compare {model} with {truth}: {why}")]
     Evaluation {

@@ -14,13 +14,17 @@ pub(crate) fn images_of_cameras(scene: &Reconstruction) -> BTreeMap<CameraId, Ve
     images
 }
 
-/// Returns the times of the images in order; `None` unless all images have a time.
+/// Returns the times of the images that have one, in order; `None` unless most images have a time.
+/// A photo that lost its time is in no frame by time, and leaves the others their frames.
 pub(crate) fn images_in_time(
     scene: &Reconstruction,
     images: &[ImageId],
 ) -> Option<Vec<(f64, ImageId)>> {
     let mut times: Vec<(f64, ImageId)> =
-        images.iter().map(|&id| Some((scene.image(id).time_s?, id))).collect::<Option<_>>()?;
+        images.iter().filter_map(|&id| Some((scene.image(id).time_s?, id))).collect();
+    if 2 * times.len() <= images.len() && !images.is_empty() {
+        return None;
+    }
     times.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
     Some(times)
 }

@@ -281,3 +281,20 @@ fn parts_become_one_model_again() {
     tiepoint_in(dir, "model merge {}/a -o {}/none").failed(2, &["2"]);
     assert!(!dir.join("none").exists());
 }
+
+#[test]
+fn a_trajectory_of_lines_has_no_gap() {
+    let dir = tempfile::tempdir().unwrap();
+    let dir = dir.path();
+    let mut model = scene();
+    write_model(&dir.join("whole"), &model, Format::Text).unwrap();
+    tiepoint_in(dir, "export {}/whole --to kitti -o {}/whole.txt").done();
+    assert_eq!(fs::read_to_string(dir.join("whole.txt")).unwrap().lines().count(), NUM_IMAGES);
+    for image in [3, 4] {
+        model.deregister(ImageId(image));
+    }
+    write_model(&dir.join("gap"), &model, Format::Text).unwrap();
+    let parts = ["has no poses of frames 3 to 4", "export to tum"];
+    tiepoint_in(dir, "export {}/gap --to kitti -o {}/gap.txt").failed(1, &parts);
+    assert!(!dir.join("gap.txt").exists());
+}

@@ -442,3 +442,27 @@ fn missing_ffmpeg_is_an_error() {
     command.args(["features", "a.mp4", "-o", "ws"]).current_dir(dir.path()).env("PATH", dir.path());
     Run(command.output().unwrap()).failed(1, &["a.mp4", "needs the program ffmpeg", "install it"]);
 }
+
+#[test]
+fn interlaced_video_is_deinterlaced_and_a_second_stream_is_named() {
+    if !has_ffmpeg() {
+        return;
+    }
+    let dir = tempfile::tempdir().unwrap();
+    let dir = dir.path();
+    film(dir, "front.mov", 4);
+    // Two pictures become the two fields of a frame; MPEG-2 says so.
+    let fields = ["-vf", "interlace=scan=tff:lowpass=off", "-c:v", "mpeg2video", "-q:v", "2"];
+    let fields = [&fields[..], &["-flags", "+ilme+ildct", "-r", "25"]].concat();
+    assert!(converted(dir, "front.mov", &fields, "fields.mpg.mkv"));
+    let two = ["-map", "0:v:0", "-map", "0:v:0", "-c", "copy"];
+    assert!(converted(dir, "front.mov", &two, "two.mov"));
+    let notes = |name: &str| {
+        let line = format!("features {{}}/{name} -o {{}}/{name}.ws --every 1 --json");
+        tiepoint_in(dir, &line).done().json()["stages"]["features"]["notes"].to_string()
+    };
+    assert!(notes("fields.mpg.mkv").contains("interlaced video was deinterlaced"));
+    assert!(notes("two.mov").contains("the first of 2 video streams is read"));
+    let plain = notes("front.mov");
+    assert!(!plain.contains("interlaced") && !plain.contains("streams"), "{plain}");
+}

@@ -1,14 +1,16 @@
 //! The input photos of a workspace.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
+use tiepoint_store::escaped;
 
 use super::calibration::Calibrations;
 use super::grouping::{CameraGrouping, CameraNumbers, GroupedPhoto};
 use crate::fingerprint::{fingerprint, of_photo};
-use crate::images::{ImageFolder, ImageInfo};
+use crate::images::{ImageFolder, ImageInfo, first_names};
 use crate::{Error, Size};
 
 /// An image that was skipped.
@@ -113,6 +115,30 @@ impl Photos {
         let Some(masks) = &self.masks else { return Ok(photos) };
         let masks = fingerprint(&ImageFolder::open(std::slice::from_ref(masks), None)?)?;
         Ok(format!("{photos} masked by {masks}"))
+    }
+
+    /// Names the photos without a time of folders of which most photos have one, a sentence each.
+    pub fn notes_on_times(&self, photos: &[Photo], times_s: &[(&str, f64)]) -> Vec<String> {
+        let timed: BTreeSet<&str> = times_s.iter().map(|(name, _)| *name).collect();
+        let notes = self.folder.camera_names().iter().enumerate().filter_map(|(camera, folder)| {
+            let names = photos.iter().map(|photo| &self.folder.images()[photo.index]);
+            let names = names.filter(|image| image.camera.index() == camera);
+            let (with, without): (Vec<&str>, Vec<&str>) =
+                names.map(|image| image.name.as_str()).partition(|name| timed.contains(name));
+            let (has, it) = match without.len() {
+                0 => return None,
+                count if count >= with.len() => return None,
+                1 => ("photos has", "it"),
+                _ => ("photos have", "them"),
+            };
+            let (count, all) = (without.len(), with.len() + without.len());
+            let (names, folder) = (first_names(&without), escaped(Path::new(folder)));
+            Some(format!(
+                "{folder}: {count} of {all} {has} no time, and times pair no photo of another \
+                camera with {it}: {names}; --timestamps FILE gives times"
+            ))
+        });
+        notes.collect()
     }
 
     /// Reads the headers of all photos, and returns usable and skipped ones.

@@ -49,7 +49,9 @@ pub struct Exif {
     pub long_side_px: Option<f64>,
     /// Orientation of the stored pixels, 1 to 8; 1 is upright.
     pub orientation: u8,
-    /// Time in seconds since 1970-01-01 00:00 on the clock of the camera.
+    /// Time in seconds since 1970-01-01 00:00 on the clock of the camera: the first of
+    /// `DateTimeOriginal`, `DateTimeDigitized` and `DateTime` that is a date, with the fraction of
+    /// a second that stands in it, or else in the field `SubSecTime…` of the same name.
     pub time_s: Option<f64>,
     /// Body and lens.
     pub device: Device,
@@ -108,16 +110,20 @@ impl Exif {
             integer(Tag::Orientation).filter(|turn| (1..=8).contains(turn)).unwrap_or(1);
         let ascii = |tag| match value(tag)? {
             Value::Ascii(list) => list.first().and_then(|bytes| std::str::from_utf8(bytes).ok()),
+            // Some cameras write texts with the type of bytes that mean nothing.
+            Value::Undefined(bytes, _) => std::str::from_utf8(bytes).ok(),
             _ => None,
         };
         let name = |tag| {
-            let name = ascii(tag)?.trim_matches(|c: char| c.is_whitespace() || c == '\0');
+            let name = ascii(tag)?.trim_matches(is_blank);
             let name = &name[..name.floor_char_boundary(MAX_NAME_BYTES)];
             (!name.is_empty()).then(|| name.to_owned())
         };
-        let sub_s = ascii(Tag::SubSecTimeOriginal)
-            .and_then(|digits| format!("0.{}", digits.trim()).parse::<f64>().ok())
-            .unwrap_or(0.0);
+        let time_s = TIME_TAGS.into_iter().find_map(|(date, sub_s)| {
+            let date = parse_date(ascii(date)?)?;
+            let sub_s = date.fraction_s.or_else(|| fraction_of_second(ascii(sub_s)?));
+            Some(date.whole_s + sub_s.unwrap_or(0.0))
+        });
         Self {
             focal_mm: positive(Tag::FocalLength),
             focal_35mm: positive(Tag::FocalLengthIn35mmFilm),
@@ -127,9 +133,7 @@ impl Exif {
                 .map(|(count, mm)| count / mm),
             long_side_px: sides[0].zip(sides[1]).map(|(x, y)| x.max(y)),
             orientation: orientation as u8,
-            time_s: ascii(Tag::DateTimeOriginal)
-                .and_then(seconds_of_date)
-                .map(|seconds| seconds + sub_s),
+            time_s,
             device: Device {
                 make: name(Tag::Make),
                 model: name(Tag::Model),
@@ -185,12 +189,48 @@ pub fn is_plausible_focal(focal_px: f64, width: u32, height: u32) -> bool {
     FOCAL_RANGE.contains(&(focal_px / f64::from(width.max(height))))
 }
 
-/// A date `YYYY:MM:DD HH:MM:SS` as seconds since 1970-01-01 00:00, without time zones.
-pub(crate) fn seconds_of_date(date: &str) -> Option<f64> {
-    let mut numbers = date.trim().split([':', ' ', '-', 'T']).map(|word| word.parse::<i64>().ok());
-    let mut next = || numbers.next().flatten();
-    let (year, month, day) = (next()?, next()?, next()?);
-    let (hour, minute, second) = (next()?, next()?, next()?);
+/// The fields of a time and of its fraction of a second, the best first. `DateTime` is the time of
+/// the last change: that of the photo, unless a program changed it.
+const TIME_TAGS: [(Tag, Tag); 3] = [
+    (Tag::DateTimeOriginal, Tag::SubSecTimeOriginal),
+    (Tag::DateTimeDigitized, Tag::SubSecTimeDigitized),
+    (Tag::DateTime, Tag::SubSecTime),
+];
+
+/// Seconds since 1970-01-01 00:00.
+struct Date {
+    whole_s: f64,
+    /// The fraction of a second, if the date has one.
+    fraction_s: Option<f64>,
+}
+
+/// A date as seconds since 1970-01-01 00:00, without time zones; [`parse_date`] has the forms.
+pub(crate) fn seconds_of_date(text: &str) -> Option<f64> {
+    parse_date(text).map(|date| date.whole_s + date.fraction_s.unwrap_or(0.0))
+}
+
+/// A date `YYYY:MM:DD HH:MM:SS`, as EXIF asks for, or in another form that cameras write: other
+/// characters between the numbers, spaces for leading zeros, no seconds, a fraction of a second,
+/// the first hour of a day as 24. What follows, as a time zone, is ignored: the clock of the camera
+/// counts.
+fn parse_date(text: &str) -> Option<Date> {
+    const BETWEEN: [char; 6] = [':', '-', '/', '.', ' ', 'T'];
+    let mut rest = text;
+    let mut next = |may_follow: &[char]| -> Option<(i64, Option<char>)> {
+        let number = take_number(&mut rest)?;
+        let separator = rest.chars().next().filter(|c| may_follow.contains(c));
+        rest = &rest[separator.map_or(0, char::len_utf8)..];
+        Some((number, separator))
+    };
+    let ((year, _), (month, _), (day, _)) = (next(&BETWEEN)?, next(&BETWEEN)?, next(&BETWEEN)?);
+    let (hour, between) = next(&BETWEEN)?;
+    let hour = if hour == 24 { 0 } else { hour };
+    let (minute, before_second) = next(between.as_slice())?;
+    let second = match before_second {
+        Some(_) if !rest.trim_matches(is_blank).is_empty() => take_number(&mut rest)?,
+        _ => 0,
+    };
+    let fraction_s = rest.strip_prefix(['.', ',']).and_then(fraction_of_second);
     let in_range = (1..=9999).contains(&year)
         && (1..=12).contains(&month)
         && (1..=31).contains(&day)
@@ -204,7 +244,27 @@ pub(crate) fn seconds_of_date(date: &str) -> Option<f64> {
     // last one.
     let (y, m) = if month > 2 { (year, month - 3) } else { (year - 1, month + 9) };
     let days = 365 * y + y / 4 - y / 100 + y / 400 + (153 * m + 2) / 5 + day - 1 - 719_468;
-    Some((days * 86_400 + hour * 3_600 + minute * 60 + second) as f64)
+    Some(Date { whole_s: (days * 86_400 + hour * 3_600 + minute * 60 + second) as f64, fraction_s })
+}
+
+fn is_blank(c: char) -> bool {
+    c.is_whitespace() || c == '\0'
+}
+
+/// Takes a number from the beginning of a text; spaces may stand for its leading zeros.
+fn take_number(rest: &mut &str) -> Option<i64> {
+    let digits = rest.trim_start();
+    let end = digits.find(|c: char| !c.is_ascii_digit()).unwrap_or(digits.len());
+    let (number, after) = digits.split_at(end);
+    *rest = after;
+    number.parse().ok()
+}
+
+/// The decimals at the beginning of a text as a fraction.
+fn fraction_of_second(text: &str) -> Option<f64> {
+    let digits = text.trim_start();
+    let end = digits.find(|c: char| !c.is_ascii_digit()).unwrap_or(digits.len());
+    (end > 0).then(|| format!("0.{}", &digits[..end]).parse().ok())?
 }
 
 #[cfg(test)]
@@ -221,6 +281,24 @@ mod tests {
         ] {
             assert_eq!(seconds_of_date(date), Some(expected));
         }
+        // Forms of cameras and programs.
+        for (date, second) in [
+            ("2024:02:29 12:34:56.250", 56.25),
+            ("2024:02:29 12:34:56,250+02:00", 56.25),
+            ("2024:02:29 12:34:56+02:00", 56.0),
+            ("2024-02-29T12:34:56Z", 56.0),
+            ("2024-02-29-12-34-56", 56.0),
+            ("2024/02/29 12:34:56", 56.0),
+            ("2024: 2:29 12:34: 6\0", 6.0),
+            ("2024:02:29 12:34", 0.0),
+            ("2024:02:29 12:34:  ", 0.0),
+            ("2024:02:29 12:34-07:00", 0.0),
+        ] {
+            assert_eq!(seconds_of_date(date), Some(1_709_210_040.0 + second), "{date}");
+        }
+        // An hour from 1 to 24: the first one of the day that the date names.
+        let first_hour = seconds_of_date("2015:08:22 00:08:19");
+        assert!(first_hour.is_some() && seconds_of_date("2015:08:22 24:08:19") == first_hour);
         let beyond = "9223372036854775807:01:01 00:00:00";
         for date in [
             "",
@@ -228,6 +306,10 @@ mod tests {
             "2024:13:01 00:00:00",
             "0000:00:00 00:00:00",
             "2024:01:01",
+            "2024:01:01 12",
+            "2024:01:01 25:00:00",
+            "2024:01:01 12:60",
+            "2024:01:01 12:00:x",
             beyond,
         ] {
             assert_eq!(seconds_of_date(date), None);

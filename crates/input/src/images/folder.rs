@@ -11,6 +11,8 @@ use tiepoint_scene::CameraId;
 use tiepoint_store::{escaped, irregular_kind, is_inside, manifest_files, require_regular_file};
 
 use super::exif::Exif;
+use super::folder_names::{derived_folders, is_mask_folder, is_system_folder, is_thumbnail_folder};
+use super::masks::Masks;
 use super::pixels::{self, SizeLimit, Turn};
 use super::{DEFAULT_MAX_PIXELS, Luma, Rgb};
 
@@ -72,10 +74,18 @@ const UNREAD: [Unread; 7] = [
         to: "%06d.jpg",
     },
 ];
+/// Photos that are named as if they were none, or something else. They are not read, because
+/// undistorted photos are written under their names.
+const MISNAMED: Unread = Unread {
+    extensions: &[],
+    what: "a JPEG file by its content but not by its name",
+    remedy: "rename them, as {from} to {to}",
+    to: "jpg",
+};
 /// More names of files that are not read are counted, not listed.
 const MAX_UNREAD_NAMES: usize = 8;
 /// Deepest folder below an input; deeper ones mean a cycle of links.
-const MAX_DEPTH: usize = 16;
+pub(super) const MAX_DEPTH: usize = 16;
 
 /// A kind of photos that are not read.
 struct Unread {
@@ -173,16 +183,18 @@ impl ImageFolder {
     pub fn open(inputs: &[PathBuf], masks: Option<&Path>) -> Result<Self> {
         // By name: the path, and the name of the camera. The map sorts in byte order.
         let mut found: BTreeMap<String, (PathBuf, String)> = BTreeMap::new();
-        let mut skipped = Vec::new();
+        let (mut skipped, mut set_aside, mut notes) = (Vec::new(), Vec::new(), Vec::new());
         for input in inputs {
             let folder_name = folder_name(input);
             let prefix =
                 if inputs.len() > 1 { prefix(input, &folder_name)? } else { String::new() };
-            let listing = Listing::of_input(input, prefix)?;
+            let mut listing = Listing::of_input(input, prefix)?;
+            listing.set_aside_derived(input);
             if let Some(folder) = listing.folder_beside_images() {
                 let what = format!(
-                    "holds both images and a folder of images, `{folder}`: put the images of each \
-                    camera into a folder of its own"
+                    "holds both images and a folder of images, `{folder}`: move that folder out of \
+                    it, or, if it is of another camera, put the images of each camera into a \
+                    folder of their own"
                 );
                 return Err(Error::content(input, what));
             }
@@ -204,8 +216,13 @@ impl ImageFolder {
                 }
             }
             skipped.extend(listing.skipped);
+            set_aside.extend(listing.set_aside);
+            notes.extend(listing.notes);
         }
-        Self::of_found(found, skipped, masks)
+        notes.splice(0..0, set_aside_note(&set_aside));
+        let mut this = Self::of_found(found, skipped, masks)?;
+        this.notes.splice(0..0, notes);
+        Ok(this)
     }
 
     /// The images by name: the path, and the name of the camera.
@@ -226,13 +243,22 @@ impl ImageFolder {
             are_masks_stored: false,
             bits: Arc::new([]),
         };
+        let masks_of = masks.map(Masks::open);
         for (name, (path, camera)) in found {
             let known = this.cameras.iter().position(|known| *known == camera);
             let camera = CameraId::from_index(known.unwrap_or_else(|| {
                 this.cameras.push(camera);
                 this.cameras.len() - 1
             }));
-            this.masks.push(masks.and_then(|masks| mask_of(masks, &name, &mut this.skipped)));
+            let mask = masks_of.as_ref().and_then(|masks| masks.of(&name, &mut this.skipped));
+            if let Some(mask) = mask.as_ref().filter(|mask| is_same_file(mask, &path)) {
+                let what = format!(
+                    "is the photo {name} itself and would be its own mask: put masks into a folder \
+                    of their own, and give that by --masks"
+                );
+                return Err(Error::content(mask, what));
+            }
+            this.masks.push(mask);
             this.paths.push(path);
             this.images.push(SourceImage { name, camera });
         }
@@ -243,7 +269,8 @@ impl ImageFolder {
             Some(masks) if !this.images.is_empty() && this.masks.iter().all(Option::is_none) => {
                 fs::read_dir(masks).map_err(Error::io(masks))?;
                 let what = format!(
-                    "holds no mask: for {0}, `{0}.png` was looked for",
+                    "holds no mask: for {0}, `{0}.png` was looked for, or its name with .png for \
+                    its extension",
                     this.images[0].name
                 );
                 Err(Error::content(masks, what))
@@ -364,8 +391,9 @@ impl ImageFolder {
         let this = Self::of_found(found.collect(), listing.skipped, None)?;
         let mut this = this.with_stored_pixels();
         if let Some(masks) = masks {
+            let masks = Masks::open(masks);
             let names = this.images.iter().map(|image| &image.name);
-            this.masks = names.map(|name| mask_of(masks, name, &mut this.skipped)).collect();
+            this.masks = names.map(|name| masks.of(name, &mut this.skipped)).collect();
         }
         this.skipped.sort();
         this.skipped.dedup();
@@ -642,11 +670,22 @@ struct Listing {
     skipped: Vec<SkippedFile>,
     /// Images that this program wrote.
     generated: BTreeSet<PathBuf>,
+    /// Folders that are no cameras, and the number of images below each.
+    set_aside: Vec<(String, usize)>,
+    /// What is to be noted.
+    notes: Vec<String>,
 }
 
 impl Listing {
     fn new(prefix: String) -> Self {
-        Self { prefix, images: vec![], skipped: vec![], generated: BTreeSet::new() }
+        Self {
+            prefix,
+            images: vec![],
+            skipped: vec![],
+            generated: BTreeSet::new(),
+            set_aside: vec![],
+            notes: vec![],
+        }
     }
 
     fn of_input(input: &Path, prefix: String) -> Result<Self> {
@@ -674,6 +713,7 @@ impl Listing {
         }
         // Names by the index of their kind.
         let mut unread: BTreeMap<usize, Vec<OsString>> = BTreeMap::new();
+        let (mut folders, images_before) = (Vec::new(), self.images.len());
         for entry in fs::read_dir(folder).map_err(Error::io(folder))? {
             let path = entry.map_err(Error::io(folder))?.path();
             let Some(part) =
@@ -685,29 +725,21 @@ impl Listing {
             // Links are followed; a broken link is an image that cannot be opened, not a folder.
             let metadata = fs::metadata(&path).ok();
             if metadata.as_ref().is_some_and(fs::Metadata::is_dir) {
-                match (invalid_name_reason(part, is_first, false), part.to_str()) {
-                    (None, Some(part)) => {
-                        self.list(&path, &format!("{within}{part}/"), depth + 1)?
-                    }
-                    (why, _) => {
-                        let mut below = Self::new(String::new());
-                        below.list(&path, "", depth + 1)?;
-                        let count = below.images.len() + below.skipped.len();
-                        if count > 0 {
-                            let images = if count == 1 { "image" } else { "images" };
-                            let why = why.unwrap_or(NOT_UTF8);
-                            let what =
-                                format!("{why}, with {count} {images} below it: rename the folder");
-                            self.skip(&path, within, &what);
-                        }
-                    }
-                }
+                folders.push((part.to_owned(), path));
             } else if let Some(kind) =
                 UNREAD.iter().position(|kind| has_extension(&path, kind.extensions))
             {
+                let is_file = metadata.as_ref().is_some_and(fs::Metadata::is_file);
+                let is_misnamed = is_file && pixels::is_photo_by_content(&path);
+                let kind = if is_misnamed { UNREAD.len() } else { kind };
                 unread.entry(kind).or_default().push(part.to_owned());
-            } else if !is_named_like_image(&path) || self.generated.contains(&path) {
+            } else if self.generated.contains(&path) {
                 continue;
+            } else if !is_named_like_image(&path) {
+                let is_file = metadata.as_ref().is_some_and(fs::Metadata::is_file);
+                if is_file && pixels::is_photo_by_content(&path) {
+                    unread.entry(UNREAD.len()).or_default().push(part.to_owned());
+                }
             } else if let Some(kind) = metadata.as_ref().and_then(irregular_kind) {
                 self.skip(&path, within, &format!("is {kind} and no regular file"));
             } else {
@@ -727,9 +759,48 @@ impl Listing {
             }
         }
         for (kind, parts) in unread {
-            self.skip_unread(folder, within, &UNREAD[kind], parts);
+            self.skip_unread(folder, within, UNREAD.get(kind).unwrap_or(&MISNAMED), parts);
+        }
+        let has_images = self.images.len() > images_before;
+        for (part, path) in folders {
+            if is_system_folder(&part) || has_images && is_thumbnail_folder(&part) {
+                self.set_aside(&part, &path, within, depth);
+            } else {
+                self.list_below(&part, &path, within, depth)?;
+            }
         }
         Ok(())
+    }
+
+    /// Adds the images of a folder in another one.
+    fn list_below(&mut self, part: &OsStr, path: &Path, within: &str, depth: usize) -> Result<()> {
+        let is_first = self.prefix.is_empty() && within.is_empty();
+        match (invalid_name_reason(part, is_first, false), part.to_str()) {
+            (None, Some(part)) => self.list(path, &format!("{within}{part}/"), depth + 1)?,
+            (why, _) => {
+                let mut below = Self::new(String::new());
+                below.list(path, "", depth + 1)?;
+                let count = below.images.len() + below.skipped.len();
+                if count > 0 {
+                    let images = if count == 1 { "image" } else { "images" };
+                    let why = why.unwrap_or(NOT_UTF8);
+                    let what = format!("{why}, with {count} {images} below it: rename the folder");
+                    self.skip(path, within, &what);
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Passes over a folder that is no camera. What is in it need not be readable.
+    fn set_aside(&mut self, part: &OsStr, path: &Path, within: &str, depth: usize) {
+        let mut below = Self::new(String::new());
+        let _ = below.list(path, "", depth + 1);
+        let count = below.images.len() + below.set_aside.iter().map(|(_, n)| n).sum::<usize>();
+        if count > 0 {
+            let part = escaped(Path::new(part));
+            self.set_aside.push((format!("{}{within}{part}", self.prefix), count));
+        }
     }
 
     /// Names the files of a folder that are of a kind that is not read, in one sentence. Those with
@@ -771,6 +842,32 @@ impl Listing {
         self.skipped.push(SkippedFile { name, why: format!("{}: {what}", escaped(path)) });
     }
 
+    /// Passes over the folders of images that were made from the photos beside them.
+    fn set_aside_derived(&mut self, input: &Path) {
+        let mut folders: BTreeMap<&str, Vec<(&str, &Path)>> = BTreeMap::new();
+        for image in &self.images {
+            if let Some((folder, name)) = image.name.split_once('/') {
+                folders.entry(folder).or_default().push((name, &image.path));
+            }
+        }
+        let derived = derived_folders(&folders);
+        let derived: Vec<(String, String)> =
+            derived.into_iter().map(|(a, b)| (a.to_owned(), b.to_owned())).collect();
+        for (folder, of) in derived {
+            self.images.retain(|image| image.top_folder() != Some(folder.as_str()));
+            let path = escaped(&input.join(&folder));
+            self.notes.push(format!(
+                "{path}: its images are made from those of the same names in `{of}`, and it is no \
+                camera: {}",
+                if is_mask_folder(&folder) {
+                    "give masks by --masks"
+                } else {
+                    "if it is one, rename the folder"
+                }
+            ));
+        }
+    }
+
     /// A folder of images in an input that also has images of its own.
     fn folder_beside_images(&self) -> Option<&str> {
         let folder = self.images.iter().find_map(FoundImage::top_folder)?;
@@ -793,8 +890,25 @@ impl Listing {
     }
 }
 
+/// A note on folders of the system and of thumbnails.
+fn set_aside_note(folders: &[(String, usize)]) -> Option<String> {
+    let count: usize = folders.iter().map(|(_, count)| count).sum();
+    let mut names: Vec<&str> = folders.iter().map(|(name, _)| name.as_str()).collect();
+    names.sort_unstable();
+    let images = if count == 1 { "1 image is" } else { &format!("{count} images are") };
+    (count > 0).then(|| {
+        let names = first_names(&names);
+        format!("{images} passed over in folders of the system or of thumbnails: {names}")
+    })
+}
+
+/// Whether two paths lead to one file.
+fn is_same_file(a: &Path, b: &Path) -> bool {
+    a == b || a.canonicalize().ok().is_some_and(|a| b.canonicalize().ok() == Some(a))
+}
+
 /// The first of some names, and the number of the others.
-fn first_names(names: &[&str]) -> String {
+pub(crate) fn first_names(names: &[&str]) -> String {
     let shown: Vec<String> =
         names.iter().take(MAX_NOTED_NAMES).map(|name| escaped(Path::new(name))).collect();
     match names.len() - shown.len() {
@@ -823,24 +937,6 @@ pub fn is_unread_image(path: &Path) -> bool {
 pub(crate) fn has_extension(path: &Path, extensions: &[&str]) -> bool {
     path.extension()
         .is_some_and(|ending| extensions.iter().any(|known| ending.eq_ignore_ascii_case(known)))
-}
-
-/// The path of the mask of an image. An entry with that name that is not a regular file is skipped.
-fn mask_of(masks: &Path, name: &str, skipped: &mut Vec<SkippedFile>) -> Option<PathBuf> {
-    let candidates = [
-        masks.join(format!("{name}.png")),
-        masks.join(name),
-        masks.join(name).with_extension("png"),
-    ];
-    candidates.into_iter().find(|path| {
-        let Ok(metadata) = fs::metadata(path) else { return false };
-        if let (Some(kind), false) = (irregular_kind(&metadata), metadata.is_dir()) {
-            let shown = escaped(path);
-            let why = format!("{shown}: is {kind} and no regular file, so it masks nothing");
-            skipped.push(SkippedFile { name: shown, why });
-        }
-        metadata.is_file()
-    })
 }
 
 /// The time in the name of a file, in seconds: nanoseconds (19 digits), microseconds (16) or

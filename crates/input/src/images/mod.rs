@@ -5,7 +5,9 @@
 mod depth_scale;
 mod exif;
 mod folder;
+mod folder_names;
 mod jpeg;
+mod masks;
 mod pixels;
 mod reduce;
 
@@ -13,6 +15,6 @@ pub use depth_scale::DepthScale;
 pub(crate) use exif::seconds_of_date;
 pub use exif::{Device, Exif, is_plausible_focal};
 pub use folder::{ImageFolder, ImageInfo, SkippedFile, SourceImage, is_image, is_unread_image};
-pub(crate) use folder::{VIDEO_EXTENSIONS, has_extension};
+pub(crate) use folder::{VIDEO_EXTENSIONS, first_names, has_extension};
 pub(crate) use pixels::SizeLimit;
 pub use pixels::{ABSOLUTE_MAX_PIXELS, DEFAULT_MAX_PIXELS, Luma, Rgb};

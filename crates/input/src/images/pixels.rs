@@ -478,6 +478,13 @@ pub(crate) fn header_turned(
     Ok((exif, width, height))
 }
 
+/// Whether a file begins as a JPEG file does.
+pub(crate) fn is_photo_by_content(path: &Path) -> bool {
+    let mut head = [0; 3];
+    let read = File::open(path).and_then(|mut file| file.read_exact(&mut head));
+    read.is_ok() && head == [0xFF, 0xD8, 0xFF]
+}
+
 /// Size of an image as it is stored, and the orientation of its EXIF data.
 pub(crate) fn stored(path: &Path) -> Result<((u32, u32), u8)> {
     Ok((stored_size(path)?, Exif::read(path)?.orientation))

@@ -22,12 +22,14 @@ use crate::images::seconds_of_date;
 use crate::images::{DEFAULT_MAX_PIXELS, SizeLimit};
 use crate::images::{VIDEO_EXTENSIONS, has_extension};
 use tiepoint_io::{Error, Result};
-use tiepoint_store::require_regular_file;
+use tiepoint_store::{escaped, require_regular_file};
 
 /// Lines of the log of ffmpeg that an error quotes.
 const QUOTED_LINES: usize = 3;
 /// Filters of ffmpeg: scale non-square pixels up to square ones, then print the time stamps.
 const FILTERS: &str = "scale=w='iw*max(sar,1)':h='ih/min(sar,1)',setsar=1,showinfo";
+/// Put before [`FILTERS`] for interlaced video: one frame of each two fields.
+const DEINTERLACE: &str = "yadif=mode=send_frame:deint=interlaced,";
 /// First version of ffmpeg with the option `-fps_mode`; earlier versions call it `-vsync`.
 const FIRST_WITH_FPS_MODE: (u32, u32) = (5, 1);
 
@@ -44,12 +46,19 @@ pub struct Recording {
     pub name: String,
     /// The files in the order of recording.
     pub chapters: Vec<PathBuf>,
+    /// Whether the first chapter is missing: the files hold the time at which that one began.
+    pub is_late: bool,
 }
 
 /// Groups the chapter files into which action cameras split a recording: `GH010042.MP4`,
 /// `GH020042.MP4` and so on, or `GOPR0042.MP4`, `GP010042.MP4` of older cameras, in the same
 /// folder. Every other file is a recording of its own.
-pub fn recordings(files: &[PathBuf]) -> Vec<Recording> {
+///
+/// # Errors
+///
+/// If two files are the same chapter, and if a chapter between others is missing: how long it is
+/// nobody knows, and later chapters would have wrong times.
+pub fn recordings(files: &[PathBuf]) -> Result<Vec<Recording>> {
     let mut chapters: BTreeMap<(PathBuf, String), BTreeMap<u32, PathBuf>> = BTreeMap::new();
     let mut order = Vec::new();
     for (index, file) in files.iter().enumerate() {
@@ -60,17 +69,37 @@ pub fn recordings(files: &[PathBuf]) -> Vec<Recording> {
         if !order.contains(&key) {
             order.push(key.clone());
         }
-        chapters.entry(key).or_default().insert(chapter, file.clone());
+        if let Some(other) = chapters.entry(key).or_default().insert(chapter, file.clone()) {
+            let what = format!(
+                "is chapter {chapter} of a recording, as is {}: move one of the two away",
+                escaped(&other)
+            );
+            return Err(Error::content(file, what));
+        }
     }
     let name_of =
         |file: &PathBuf| file.file_stem().map(|stem| folder_name(&stem.to_string_lossy()));
-    order
-        .iter()
-        .filter_map(|key| {
-            let chapters: Vec<PathBuf> = chapters.get(key)?.values().cloned().collect();
-            Some(Recording { name: chapters.first().and_then(name_of)?, chapters })
-        })
-        .collect()
+    let mut recordings = Vec::new();
+    for key in &order {
+        let Some(found) = chapters.get(key) else { continue };
+        let numbers: Vec<(&u32, &PathBuf)> = found.iter().collect();
+        if let Some(two) = numbers.windows(2).find(|two| *two[1].0 != two[0].0 + 1) {
+            let what = format!(
+                "is chapter {} of the recording of {}, and chapter {} is missing, so that its \
+                times are unknown: give that file too, or this one in a run of its own",
+                two[1].0,
+                escaped(two[0].1),
+                two[0].0 + 1
+            );
+            return Err(Error::content(two[1].1, what));
+        }
+        let Some((number, first)) = numbers.first() else { continue };
+        let Some(name) = name_of(first) else { continue };
+        // Files of one name are no chapters; `GOPR` is chapter 0 and the first.
+        let is_late = **number > 1 || **number == 1 && key.1.starts_with("GP");
+        recordings.push(Recording { name, chapters: found.values().cloned().collect(), is_late });
+    }
+    Ok(recordings)
 }
 
 /// A file stem as the name of a folder of frames. A folder with a leading dot would be hidden.
@@ -140,7 +169,17 @@ pub struct VideoReader {
     created_s: Option<f64>,
     reduction: Reduction,
     tone_map: Option<ToneMap>,
+    streams: Streams,
     count: usize,
+}
+
+/// The video streams of a file. The first one is read.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Streams {
+    /// Whether the first one is interlaced, and its frames are deinterlaced.
+    pub is_interlaced: bool,
+    /// The number of moving ones; a cover picture is none.
+    pub count: usize,
 }
 
 impl VideoReader {
@@ -158,10 +197,12 @@ impl VideoReader {
         } else {
             ["-vsync", "0"]
         };
+        let streams = streams(path)?;
+        let deinterlace = if streams.is_interlaced { DEINTERLACE } else { "" };
         let mut child = ffmpeg()
             .args(["-nostdin", "-hide_banner", "-loglevel", "info", "-nostats", "-i"])
             .arg(file_url(path))
-            .args(["-map", "0:v:0", "-vf", FILTERS])
+            .args(["-map", "0:v:0", "-vf", &format!("{deinterlace}{FILTERS}")])
             .args(passthrough)
             .args(["-f", "image2pipe", "-c:v", "ppm", "-"])
             .stdin(Stdio::null())
@@ -183,8 +224,14 @@ impl VideoReader {
             created_s: None,
             reduction: Reduction::None,
             tone_map: None,
+            streams,
             count: 0,
         })
+    }
+
+    /// What ffmpeg tells of the streams of the file.
+    pub fn streams(&self) -> Streams {
+        self.streams
     }
 
     /// Start time of the recording by the clock of the camera, in seconds since 1970 (whole
@@ -299,6 +346,33 @@ fn ffmpeg() -> Command {
     #[cfg(unix)]
     std::os::unix::process::CommandExt::process_group(&mut command, 0);
     command
+}
+
+/// The streams of a file as ffmpeg describes them.
+fn streams(path: &Path) -> Result<Streams> {
+    // Without an output, ffmpeg describes the input and exits with an error.
+    let described = ffmpeg()
+        .args(["-nostdin", "-hide_banner", "-i"])
+        .arg(file_url(path))
+        .stdin(Stdio::null())
+        .output()
+        .map_err(ffmpeg_missing(path))?;
+    Ok(parse_streams(&String::from_utf8_lossy(&described.stderr)))
+}
+
+fn parse_streams(text: &str) -> Streams {
+    let videos: Vec<&str> = text
+        .lines()
+        .filter_map(|line| line.trim_start().strip_prefix("Stream #")?.split_once("Video: "))
+        .map(|(_, format)| format)
+        .filter(|format| !format.contains("(attached pic)"))
+        .collect();
+    let is_interlaced = |format: &&str| {
+        ["top", "bottom"].iter().any(|order| {
+            format.contains(&format!("{order} first")) || format.contains(&format!("{order} coded"))
+        })
+    };
+    Streams { is_interlaced: videos.first().is_some_and(is_interlaced), count: videos.len() }
 }
 
 /// The URL of a file for ffmpeg. Without `file:`, `12:30.mp4` would be a protocol and `-x.mp4` an
@@ -473,7 +547,7 @@ mod tests {
 
     fn names(files: &[&str]) -> Vec<(String, usize)> {
         let files: Vec<PathBuf> = files.iter().map(PathBuf::from).collect();
-        recordings(&files).into_iter().map(|r| (r.name, r.chapters.len())).collect()
+        recordings(&files).unwrap().into_iter().map(|r| (r.name, r.chapters.len())).collect()
     }
 
     #[test]
@@ -486,7 +560,45 @@ mod tests {
         assert_eq!(names(&["GOPR0007.mp4", "GP010007.mp4"]), [of("GOPR0007", 2)]);
         assert_eq!(names(&["left.mp4", "right.mp4", "IMG_0042.MOV", "DJI_0042.MP4"]).len(), 4);
         let files = [PathBuf::from("GX020042.MP4"), PathBuf::from("GX010042.MP4")];
-        assert_eq!(recordings(&files)[0].chapters, [files[1].clone(), files[0].clone()]);
+        assert_eq!(recordings(&files).unwrap()[0].chapters, [files[1].clone(), files[0].clone()]);
+    }
+
+    #[test]
+    fn missing_and_double_chapters_are_named() {
+        let of = |names: &[&str]| {
+            recordings(&names.iter().map(PathBuf::from).collect::<Vec<_>>())
+                .map_err(|error| error.to_string())
+        };
+        let error = of(&["GX010042.MP4", "GX030042.MP4"]).unwrap_err();
+        assert!(error.starts_with("GX030042.MP4: is chapter 3 "), "{error}");
+        assert!(error.contains("chapter 2 is missing"), "{error}");
+        let error = of(&["GX010042.MP4", "gx010042.mov"]).unwrap_err();
+        assert!(error.contains("gx010042.mov: is chapter 1") && error.contains("GX010042.MP4"));
+        for (names, is_late) in [
+            (&["GX010042.MP4", "GX020042.MP4"][..], false),
+            (&["GX020042.MP4", "GX030042.MP4"], true),
+            (&["GOPR0042.MP4", "GP010042.MP4"], false),
+            (&["GP010042.MP4"], true),
+            (&["left.mp4"], false),
+        ] {
+            assert_eq!(of(names).unwrap()[0].is_late, is_late, "{names:?}");
+        }
+    }
+
+    #[test]
+    fn streams_tell_of_fields_and_of_a_second_lens() {
+        let of = |formats: &[&str]| {
+            let line = |(k, format): (usize, &&str)| {
+                format!("  Stream #0:{k}[0x1](und): Video: h264 (High), {format}\n")
+            };
+            let found = parse_streams(&formats.iter().enumerate().map(line).collect::<String>());
+            (found.is_interlaced, found.count)
+        };
+        let progressive = "yuv420p(tv, bt709, progressive), 8x8, 25 fps";
+        assert_eq!(of(&[progressive]), (false, 1));
+        assert_eq!(of(&["yuv420p(top first), 8x8, 25 fps", progressive]), (true, 2));
+        assert_eq!(of(&["yuv420p(tv, bt709, bottom coded first (swapped)), 8x8"]), (true, 1));
+        assert_eq!(of(&[progressive, "yuvj444p(pc), 640x640, 90k tbr (attached pic)"]), (false, 1));
     }
 
     #[test]

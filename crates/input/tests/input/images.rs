@@ -20,7 +20,7 @@ fn gradient() -> RgbImage {
     RgbImage::from_fn(24, 16, |x, y| Pixel([(10 * x) as u8, (10 * x) as u8, (15 * y) as u8]))
 }
 
-fn encoded(image: &DynamicImage, format: ImageFormat) -> Vec<u8> {
+pub(crate) fn encoded(image: &DynamicImage, format: ImageFormat) -> Vec<u8> {
     let mut bytes = Vec::new();
     match format {
         ImageFormat::Jpeg => {
@@ -49,7 +49,7 @@ fn with_exif(jpeg: &[u8], fields: &[(Tag, Value)]) -> Vec<u8> {
     [&jpeg[..2], &[0xFF, 0xE1], &length, &segment, &jpeg[2..]].concat()
 }
 
-fn folder(files: &[(&str, Vec<u8>)]) -> tempfile::TempDir {
+pub(crate) fn folder(files: &[(&str, Vec<u8>)]) -> tempfile::TempDir {
     let dir = tempfile::tempdir().unwrap();
     for (name, bytes) in files {
         let path = dir.path().join(name);
@@ -59,7 +59,7 @@ fn folder(files: &[(&str, Vec<u8>)]) -> tempfile::TempDir {
     dir
 }
 
-fn open(dir: &Path) -> Result<ImageFolder, tiepoint_io::Error> {
+pub(crate) fn open(dir: &Path) -> Result<ImageFolder, tiepoint_io::Error> {
     ImageFolder::open(&[dir.to_owned()], None)
 }
 
@@ -508,6 +508,32 @@ fn exif_gives_focal_length_and_time() {
     for name in ["b.jpg", "c.jpg"] {
         assert_eq!(info(name).exif, tiepoint_input::Exif::default());
         assert_eq!(info(name).time_s, None);
+    }
+}
+
+#[test]
+fn the_time_is_that_of_the_best_field_with_a_date() {
+    const AT_S: f64 = 1_709_210_096.0;
+    let ascii = |text: &str| Value::Ascii(vec![text.as_bytes().to_vec()]);
+    let at = |second: u32| ascii(&format!("2024:02:29 12:34:{second}"));
+    let blank = || ascii("    :  :     :  :  ");
+    use Tag as T;
+    let cases: [(&[(Tag, Value)], f64); 8] = [
+        (&[(T::DateTimeOriginal, at(56)), (T::DateTimeDigitized, at(57))], 0.0),
+        (&[(T::DateTimeDigitized, at(57)), (T::DateTime, at(58))], 1.0),
+        (&[(T::DateTimeOriginal, blank()), (T::DateTime, at(58))], 2.0),
+        // The fraction of another field is not taken.
+        (&[(T::DateTime, at(58)), (T::SubSecTimeOriginal, ascii("5"))], 2.0),
+        (&[(T::DateTime, at(58)), (T::SubSecTime, ascii("5 "))], 2.5),
+        (&[(T::DateTimeOriginal, at(56)), (T::SubSecTimeOriginal, ascii("1e5"))], 0.1),
+        (&[(T::DateTimeOriginal, at(56)), (T::SubSecTimeOriginal, ascii("-25"))], 0.0),
+        (&[(T::DateTimeOriginal, Value::Undefined(b"2024:02:29 12:34:56.5\0".to_vec(), 0))], 0.5),
+    ];
+    let jpeg = encoded(&gradient().into(), ImageFormat::Jpeg);
+    for (fields, after_s) in cases {
+        let dir = folder(&[("a.jpg", with_exif(&jpeg, fields))]);
+        let time_s = open(dir.path()).unwrap().info(0).unwrap().time_s;
+        assert_eq!(time_s, Some(AT_S + after_s), "{fields:?}");
     }
 }
 

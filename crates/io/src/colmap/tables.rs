@@ -145,7 +145,8 @@ impl Tables {
                     dir,
                     format!(
                         "keypoint {keypoint} of image {id} names point {}, whose track does not \
-                        hold it",
+                        hold it: take points3D and images of one model, or leave the keypoints \
+                        of images out",
                         point_ids[keypoint]
                     ),
                 ));

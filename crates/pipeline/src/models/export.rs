@@ -8,6 +8,7 @@ use std::str::FromStr;
 use serde::Serialize;
 use tiepoint_dense::undistort::{UndistortOptions, Undistortion, undistort_model};
 use tiepoint_input::parallel::{budget_bytes, for_each_within_budget};
+use tiepoint_input::sequences::number;
 use tiepoint_input::{Exif, Rgb};
 use tiepoint_io::bal::Bal;
 use tiepoint_io::colmap::{Format, read_model};
@@ -227,8 +228,12 @@ fn write_as(
             })?;
         }
         ExportFormat::Kitti => {
-            let trajectory: Vec<Rigid3> =
-                trajectory_of(model).into_iter().map(|(_, pose)| pose).collect();
+            let images = trajectory_of(model);
+            let names: Vec<&str> = images.iter().map(|(image, _)| image.name.as_str()).collect();
+            if let Some(frames) = gaps(&names) {
+                return Err(Error::TrajectoryGaps { model: folder, frames });
+            }
+            let trajectory: Vec<Rigid3> = images.into_iter().map(|(_, pose)| pose).collect();
             file(None, &|to| Ok(trajectory::write_kitti(to, &trajectory)?))?;
             (poses, points) = (trajectory.len(), 0);
         }
@@ -405,6 +410,37 @@ fn with_photos(
     Ok(photos.len() - copied.len())
 }
 
+/// Most gaps that an error names.
+const MAX_NAMED_GAPS: usize = 4;
+
+/// The frames without a pose among numbered images of a camera, such as `3 to 5, 9`. `None` if there
+/// are none, or if the numbers do not tell: usually they rise by one step.
+fn gaps(names: &[&str]) -> Option<String> {
+    let numbers: Vec<usize> = names.iter().map(|name| number(name)).collect::<Option<_>>()?;
+    let steps: Vec<usize> = numbers
+        .windows(2)
+        .map(|two| two[1].checked_sub(two[0]).filter(|step| *step > 0))
+        .collect::<Option<_>>()?;
+    let step = *steps.iter().min()?;
+    let gaps: Vec<String> = numbers
+        .iter()
+        .zip(&steps)
+        .filter(|(_, found)| **found > step)
+        .map(|(from, found)| match (from + step, from + found - step) {
+            (first, last) if first >= last => first.to_string(),
+            (first, last) => format!("{first} to {last}"),
+        })
+        .collect();
+    if gaps.is_empty() || 2 * gaps.len() >= steps.len() || steps.iter().any(|s| s % step != 0) {
+        return None;
+    }
+    let mut named = gaps[..gaps.len().min(MAX_NAMED_GAPS)].join(", ");
+    if gaps.len() > MAX_NAMED_GAPS {
+        named += &format!(" and {} more gaps", gaps.len() - MAX_NAMED_GAPS);
+    }
+    Some(named)
+}
+
 /// Registered images of the first camera and their poses (`cam_from_world`), ordered by name,
 /// numbers by value.
 fn trajectory_of(model: &Reconstruction) -> Vec<(&Image, Rigid3)> {
@@ -416,4 +452,24 @@ fn trajectory_of(model: &Reconstruction) -> Vec<(&Image, Rigid3)> {
         .collect();
     images.sort_by(|a, b| natural_order(&a.0.name, &b.0.name));
     images
+}
+
+#[cfg(test)]
+mod tests {
+    use super::gaps;
+
+    #[test]
+    fn gaps_of_numbered_images_are_named() {
+        let names = |numbers: &[usize]| -> Option<String> {
+            let names: Vec<String> = numbers.iter().map(|n| format!("l/{n:04}.png")).collect();
+            gaps(&names.iter().map(String::as_str).collect::<Vec<_>>())
+        };
+        assert_eq!(names(&[0, 1, 2, 5, 6, 8, 9, 10]).as_deref(), Some("3 to 4, 7"));
+        assert_eq!(names(&[5, 10, 15, 25, 30]).as_deref(), Some("20"));
+        // Frames of a video at irregular numbers, and names without numbers.
+        for regular in [&[3, 4, 5, 6][..], &[1, 4, 6, 11, 13, 18], &[7], &[2, 9]] {
+            assert_eq!(names(regular), None, "{regular:?}");
+        }
+        assert_eq!(gaps(&["a.png", "b.png", "c.png"]), None);
+    }
 }

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 use tiepoint_io::colmap::{Format, read_model};
+use tiepoint_io::names::ByName;
 use tiepoint_io::{positions, similarity};
 use tiepoint_sfm::geometry::nalgebra::Vector3;
 use tiepoint_sfm::geometry::{RansacOptions, Sim3, estimate};
@@ -361,7 +362,7 @@ fn align_to_positions(
     file: &Path,
     max_error: f64,
 ) -> Result<(Sim3, AlignmentInfo), Error> {
-    let positions = positions::read(file)?;
+    let positions = ByName::new(positions::read(file)?);
     let pairs = model
         .reconstruction
         .registered()

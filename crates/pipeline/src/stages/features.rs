@@ -13,6 +13,7 @@ use tiepoint_input::parallel::{budget_bytes, for_each_within_budget};
 use tiepoint_input::{CameraGrouping, DEFAULT_MAX_PIXELS, ImageInfo, Photos, SkippedImage};
 use tiepoint_io::database::{Database, read_stage_rows};
 use tiepoint_io::features::{self as sift, Features};
+use tiepoint_io::names::ByName;
 use tiepoint_io::timestamps;
 use tiepoint_sfm::geometry::numeric::median;
 use tiepoint_sfm::scene::{Camera, CameraId, Image, ImageId};
@@ -205,6 +206,7 @@ impl Survey<'_> {
     fn notes(&self) -> Vec<String> {
         let mut notes = self.photos.notes.clone();
         notes.extend(self.photos.folder.notes_on_bits());
+        notes.extend(self.photos.notes_on_times(&self.usable, &self.times));
         notes
     }
 
@@ -299,7 +301,7 @@ fn times<'a>(
             .filter_map(|(name, photo)| Some((name, photo.info.time_s?)))
             .collect());
     };
-    let given = timestamps::read(path)?;
+    let given = ByName::new(timestamps::read(path)?);
     let times: Vec<_> = names.filter_map(|name| Some((name, *given.get(name)?))).collect();
     if times.is_empty() {
         let example = photos.folder.images().first().map_or("", |image| image.name.as_str());
@@ -308,7 +310,8 @@ fn times<'a>(
         );
         return Err(Error::Times { path: path.clone(), what });
     }
-    if let Some(what) = implausible(photos, usable, &given) {
+    let of_photos: BTreeMap<&str, f64> = times.iter().copied().collect();
+    if let Some(what) = implausible(photos, usable, &of_photos) {
         return Err(Error::Times { path: path.clone(), what });
     }
     Ok(times)
@@ -319,15 +322,11 @@ fn times<'a>(
 const MAX_INTERVAL_S: f64 = 1e7;
 
 /// A sentence on times of a camera that cannot be seconds: all are equal, or years apart.
-fn implausible(
-    photos: &Photos,
-    usable: &[Photo],
-    times_s: &BTreeMap<String, f64>,
-) -> Option<String> {
+fn implausible(photos: &Photos, usable: &[Photo], times_s: &BTreeMap<&str, f64>) -> Option<String> {
     let mut of_cameras: BTreeMap<usize, Vec<f64>> = BTreeMap::new();
     for photo in usable {
         let image = &photos.folder.images()[photo.index];
-        if let Some(time_s) = times_s.get(&image.name) {
+        if let Some(time_s) = times_s.get(image.name.as_str()) {
             of_cameras.entry(image.camera.index()).or_default().push(*time_s);
         }
     }

@@ -17,7 +17,7 @@ use tiepoint_sfm::scene::{
     Camera, CameraId, Image, ImageId, ImagePair, Match, TwoView, TwoViewKind,
 };
 use tiepoint_sfm::{ImageObservations, VerifyOptions, verify_pair};
-use tiepoint_store::Error as StoreError;
+use tiepoint_store::{Error as StoreError, escaped};
 
 use crate::stages::option_keys;
 use crate::workspace::keypoints::keypoint;
@@ -75,6 +75,13 @@ fn copy_database(file: &Path, run: &mut StageRun) -> Result<StageResult, Error> 
         database.close()?;
         return Err(Error::EmptyDatabase { path: file.to_owned(), images });
     }
+    let notes: Vec<String> =
+        absent_photos_note(&run.workspace.records.inputs, &database.read_images()?)
+            .into_iter()
+            .collect();
+    for what in &notes {
+        run.emit(&Event::Noted { what })?;
+    }
     let cameras = database.read_cameras()?;
     let cameras = cameras.iter().enumerate();
     let report = FeaturesReport {
@@ -82,12 +89,31 @@ fn copy_database(file: &Path, run: &mut StageRun) -> Result<StageResult, Error> 
         images,
         keypoints: counts.iter().sum(),
         skipped: Vec::new(),
-        notes: Vec::new(),
+        notes,
         cameras: cameras
             .map(|(index, camera)| CameraReport::new(CameraId::from_index(index), camera, None))
             .collect(),
     };
     Ok(StageResult::features(database, report))
+}
+
+/// A note on images of a database that are not in the folders of photos that were given with it.
+fn absent_photos_note(inputs: &[PathBuf], images: &[Image]) -> Option<String> {
+    let first = inputs.first()?;
+    // Of several inputs, names begin with the folder's own.
+    let is_there = |name: &str| {
+        let folders = inputs.iter().flat_map(|input| [Some(input.as_path()), input.parent()]);
+        folders.flatten().any(|folder| folder.join(name).is_file())
+    };
+    let absent: Vec<&Image> = images.iter().filter(|image| !is_there(&image.name)).collect();
+    let example = escaped(Path::new(&absent.first()?.name));
+    Some(format!(
+        "{} of {} images of the database are not in {}, as {example}: their points get no colour, \
+        and undistort and dense need them; give the folder that the names begin in",
+        absent.len(),
+        images.len(),
+        escaped(first)
+    ))
 }
 
 /// A database and its log.

@@ -13,8 +13,8 @@ use serde::{Deserialize, Serialize};
 use tiepoint_input::fingerprint::hash_file_ends;
 use tiepoint_input::images::{is_image, is_unread_image};
 use tiepoint_input::video::{
-    Candidate, FrameSelector, RATE_HZ, Recording, Reduction, STRETCH_S, Selected, Transfer,
-    VideoReader, is_stabilised, is_video, read_sound, recordings, start_offset_s,
+    Candidate, FrameSelector, RATE_HZ, Recording, Reduction, STRETCH_S, Selected, Streams,
+    Transfer, VideoReader, is_stabilised, is_video, read_sound, recordings, start_offset_s,
 };
 use tiepoint_input::{Error as InputError, Photos};
 use tiepoint_io::timestamps;
@@ -75,7 +75,7 @@ pub fn open_input(
         let photos = Photos::open(inputs, masks)?;
         return Ok(OpenedInput { photos, workspace: Workspace::create(root)?, timestamps: None });
     }
-    let recordings = with_unique_names(recordings(&files))?;
+    let recordings = with_unique_names(recordings(&files)?)?;
     let videos = recordings
         .iter()
         .map(|recording| Ok((recording.name.clone(), hash_file_ends(&recording.chapters)?)));
@@ -144,7 +144,12 @@ fn videos(inputs: &[PathBuf]) -> Result<Vec<PathBuf>, Error> {
         if input.is_dir() {
             let entries = fs::read_dir(input).and_then(Iterator::collect::<Result<Vec<_>, _>>);
             let entries = entries.map_err(Error::unreadable(input))?;
+            // Hidden files are ignored, as macOS's `._clip.mp4` beside `clip.mp4`.
+            let is_hidden = |path: &PathBuf| {
+                path.file_name().is_some_and(|name| name.as_encoded_bytes().starts_with(b"."))
+            };
             let mut here: Vec<PathBuf> = entries.into_iter().map(|entry| entry.path()).collect();
+            here.retain(|path| !is_hidden(path));
             here.sort();
             // Photos that are not read are named beside the photos, not passed over for videos.
             if !here.iter().any(|path| is_image(path) || is_unread_image(path)) {
@@ -212,7 +217,7 @@ fn extract(
         let start_by_audio_s = start_offset_s.and_then(|offset_s| Some(first_start_s? + offset_s));
         let (mut read, mut start_s, mut chapter_offset_s, mut last_s, mut interval_s) =
             (0, start_by_audio_s, 0.0, 0.0, 0.0);
-        let mut reduction = Reduction::None;
+        let (mut reduction, mut streams) = (Reduction::None, Streams::default());
         let selected_before = selected.len();
         let mut keep = |chosen: Selected, watch: Watch, read: usize| -> Result<(), Error> {
             let Selected { frame, is_target } = chosen;
@@ -230,11 +235,11 @@ fn extract(
             while let Some(frame) = reader.next_frame()? {
                 let start_s = *start_s.get_or_insert_with(|| {
                     // Times by one clock only: a recording without a date began with the first one.
-                    let own_s = reader.created_s().filter(|_| is_dated);
+                    let own_s = reader.created_s().filter(|_| is_dated && !recording.is_late);
                     own_s.or(first_start_s).unwrap_or(0.0)
                 });
                 if first_start_s.is_none() {
-                    is_dated = reader.created_s().is_some();
+                    is_dated = reader.created_s().is_some() && !recording.is_late;
                     first_start_s = Some(start_s);
                 }
                 let time_s = start_s + chapter_offset_s + frame.time_s;
@@ -248,6 +253,7 @@ fn extract(
                 read += 1;
             }
             reduction = reader.reduction();
+            streams = reader.streams();
             // A chapter starts one frame interval after the last frame of the previous one.
             chapter_offset_s = last_s + interval_s - start_s.unwrap_or(0.0);
         }
@@ -256,6 +262,7 @@ fn extract(
         }
         notes.push(taken_note(&recording.name, selected.len() - selected_before, read, every));
         notes.extend(reduction_note(&recording.name, reduction));
+        notes.extend(stream_notes(recording, streams));
     }
     selected.sort_by(|a, b| a.0.cmp(&b.0));
     timestamps::write(
@@ -282,6 +289,31 @@ fn taken_note(recording: &str, taken: usize, read: usize, every: Option<NonZeroU
         true => format!("{recording}: {taken} of {read} frames taken ({rule}); {more}"),
         false => format!("{recording}: all {read} frames taken"),
     }
+}
+
+/// What is unusual about the files of a recording.
+fn stream_notes(recording: &Recording, streams: Streams) -> Vec<String> {
+    let (name, mut notes) = (&recording.name, Vec::new());
+    if recording.is_late {
+        notes.push(format!(
+            "{name}: its first chapter is missing, so that its date tells no time: give that file \
+            too if other cameras recorded with it"
+        ));
+    }
+    if streams.is_interlaced {
+        notes.push(format!(
+            "{name}: interlaced video was deinterlaced, one frame of each two fields"
+        ));
+    }
+    if streams.count > 1 {
+        let others = streams.count - 1;
+        notes.push(format!(
+            "{name}: the first of {} video streams is read, {others} not: give each as a file, as \
+            with `ffmpeg -i IN -map 0:v:1 -c copy OUT`",
+            streams.count
+        ));
+    }
+    notes
 }
 
 /// How the frames of a recording became eight bits a channel, if they had not been that.
@@ -332,8 +364,13 @@ mod tests {
             fs::create_dir(dir.path().join(folder)).unwrap();
         }
         let path = |name: &str| dir.path().join(name);
-        for name in ["photos/1.jpg", "left/GX010042.MP4", "left/GX020042.MP4", "right/GX010042.MP4"]
-        {
+        for name in [
+            "photos/1.jpg",
+            "left/GX010042.MP4",
+            "left/GX020042.MP4",
+            "left/._GX020042.MP4",
+            "right/GX010042.MP4",
+        ] {
             fs::write(path(name), "").unwrap();
         }
         assert_eq!(videos(&[path("photos")]).unwrap(), Vec::<PathBuf>::new());
@@ -349,11 +386,11 @@ mod tests {
         ));
         let files = videos(&[path("left"), path("right/GX010042.MP4")]).unwrap();
         assert_eq!(files.len(), 3);
-        let named = with_unique_names(recordings(&files)).unwrap();
+        let named = with_unique_names(recordings(&files).unwrap()).unwrap();
         let names: Vec<&str> = named.iter().map(|recording| recording.name.as_str()).collect();
         assert_eq!(names, ["left-GX010042", "right-GX010042"]);
         assert!(matches!(
-            with_unique_names(recordings(&[path("left/a.mp4"), path("left/a.mov")])),
+            with_unique_names(recordings(&[path("left/a.mp4"), path("left/a.mov")]).unwrap()),
             Err(Error::Input(InputError::TwoVideosOfOneName { .. }))
         ));
     }

@@ -15,8 +15,8 @@ const MAX_TIME_DIFFERENCE: f64 = 0.05;
 
 /// Returns the frames of a rig: the images of one instant. `images` has the images of each camera,
 /// the reference camera first, and the time of the reference camera's clock minus that of the
-/// camera's in seconds. An image without others is a frame of one. `None` unless all images have a
-/// time.
+/// camera's in seconds. An image without others is a frame of one. `None` unless most images of each
+/// camera have a time.
 pub fn frames_by_time(
     scene: &Reconstruction,
     images: &[(Vec<ImageId>, f64)],
@@ -52,6 +52,9 @@ pub fn frames_by_time(
             }
         }
     }
+    let has_no_time = |id: &&ImageId| scene.image(**id).time_s.is_none();
+    let without = images.iter().flat_map(|(images, _)| images).filter(has_no_time);
+    alone.extend(without.map(|image| vec![*image]));
     Some(frames.into_values().chain(alone).collect())
 }
 
@@ -85,6 +88,10 @@ mod tests {
         let cameras = [(references, 0.0), (others, 2.0)];
         let frames = frames_by_time(&scene, &cameras).expect("all have times");
         assert_eq!(frames, [vec![a, e], vec![b, f], vec![c], vec![d], vec![g]]);
+        // An image that lost its time is a frame of one; where most did, times tell nothing.
+        scene.set_time(f, None);
+        let frames = frames_by_time(&scene, &cameras).expect("most have times");
+        assert_eq!(frames, [vec![a, e], vec![b], vec![c], vec![d], vec![g], vec![f]]);
         scene.set_time(g, None);
         assert_eq!(frames_by_time(&scene, &cameras), None);
     }

@@ -1,7 +1,8 @@
 //! Image pairs of one instant from two cameras of a rig, and their relative poses.
 //!
 //! Images are paired by time, each on its camera's own clock, so the clocks must agree to within
-//! half the interval between images. Without times, images are paired by their names.
+//! half the interval between images. An image without a time is in no pair. Unless most images of
+//! each camera have times, images are paired by their names.
 
 use tiepoint_rig::{RelativePose, interval_s};
 use tiepoint_scene::{CameraId, ImageId, Reconstruction};
@@ -154,6 +155,15 @@ mod tests {
             pairs(&scene(&references, &[Some(10.0), Some(10.1)])).is_empty(),
             "these clocks do not agree at all"
         );
+    }
+
+    #[test]
+    fn an_image_without_a_time_costs_the_others_no_frame() {
+        let references = [0.0, 0.1, 0.2].map(Some);
+        assert_eq!(pairs(&scene(&references, &[Some(0.1), None, Some(0.2)])), [(1, 3), (2, 5)]);
+        // Most have lost theirs: names are left.
+        let others = [Some(0.1), None, None];
+        assert_eq!(pairs(&scene(&references, &others)), [(0, 3), (1, 4), (2, 5)]);
     }
 
     #[test]
