@@ -15,7 +15,7 @@ use tiepoint_scene::{
 };
 
 use crate::atomic::write_atomic;
-use crate::excerpt::Excerpt;
+use crate::text::excerpt::Excerpt;
 use crate::text::{Lines, Numbers};
 use crate::{Error, Result};
 

@@ -10,7 +10,6 @@ mod counted_file;
 pub mod database;
 mod dense_map;
 mod error;
-mod excerpt;
 mod fused_ply;
 mod fused_visibility;
 pub mod gltf;

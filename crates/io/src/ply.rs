@@ -9,7 +9,7 @@ use tiepoint_scene::Reconstruction;
 
 use crate::atomic::write_atomic;
 use crate::binary::Reader;
-use crate::excerpt::Excerpt;
+use crate::text::excerpt::Excerpt;
 use crate::{Error, Result};
 
 /// A point with its colour.

@@ -7,8 +7,8 @@ use tiepoint_geometry::nalgebra::Vector3;
 use tiepoint_store::require_regular_file;
 
 use crate::Result;
-use crate::excerpt::Excerpt;
 use crate::text::Lines;
+use crate::text::excerpt::Excerpt;
 
 /// Reads the positions of images, by name. Names may contain spaces: the last three words of a line
 /// are the numbers. Lines that start with `#` are comments.

@@ -8,7 +8,7 @@ use tiepoint_store::require_regular_file;
 
 use crate::Result;
 use crate::atomic::write_atomic;
-use crate::excerpt::Excerpt;
+use crate::text::excerpt::Excerpt;
 use crate::text::{Lines, Number};
 
 const HEADER: &str = "image,seconds";

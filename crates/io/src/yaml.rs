@@ -7,7 +7,7 @@ use std::path::Path;
 
 use saphyr_parser::{Event, Parser};
 
-use crate::excerpt::Excerpt;
+use crate::text::excerpt::Excerpt;
 use crate::{Error, Result};
 
 /// A value with the number of its line, counted from 1.

@@ -11,9 +11,12 @@ use tiepoint_scene::CameraId;
 use tiepoint_store::{escaped, irregular_kind, is_inside, manifest_files, require_regular_file};
 
 use super::exif::Exif;
-use super::folder_names::{derived_folders, is_mask_folder, is_system_folder, is_thumbnail_folder};
+use super::folder_names::{
+    MAX_DEPTH, derived_folders, is_mask_folder, is_system_folder, is_thumbnail_folder,
+};
 use super::masks::Masks;
 use super::pixels::{self, SizeLimit, Turn};
+use super::skipped::SkippedFile;
 use super::{DEFAULT_MAX_PIXELS, Luma, Rgb};
 
 /// File name extensions of images, in any case.
@@ -84,8 +87,6 @@ const MISNAMED: Unread = Unread {
 };
 /// More names of files that are not read are counted, not listed.
 const MAX_UNREAD_NAMES: usize = 8;
-/// Deepest folder below an input; deeper ones mean a cycle of links.
-pub(super) const MAX_DEPTH: usize = 16;
 
 /// A kind of photos that are not read.
 struct Unread {
@@ -118,16 +119,6 @@ pub struct ImageInfo {
     pub time_s: Option<f64>,
     /// The EXIF data.
     pub exif: Exif,
-}
-
-/// A file with the name of an image that cannot be used, or a folder of such files.
-#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub struct SkippedFile {
-    /// Its name, in the form of the names of images; control characters and bytes that are not
-    /// UTF-8 are escaped.
-    pub name: String,
-    /// The reason: a sentence that begins with the path.
-    pub why: String,
 }
 
 /// How the mask of a photo that EXIF turns or mirrors is stored.

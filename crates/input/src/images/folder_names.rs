@@ -6,6 +6,9 @@ use std::path::Path;
 
 use super::pixels;
 
+/// Deepest folder below an input; deeper ones mean a cycle of links.
+pub(super) const MAX_DEPTH: usize = 16;
+
 /// Folders that systems make, in any case: thumbnails and versions of a NAS (Synology, QNAP),
 /// deleted files, indices, what a check of the disk found, archives of macOS. Folders with a dot in
 /// front are hidden anyway.

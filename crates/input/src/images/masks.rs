@@ -8,7 +8,8 @@ use std::path::{Path, PathBuf};
 use tiepoint_io::names::ByName;
 use tiepoint_store::{escaped, irregular_kind};
 
-use super::folder::{MAX_DEPTH, SkippedFile};
+use super::folder_names::MAX_DEPTH;
+use super::skipped::SkippedFile;
 
 /// A folder of masks.
 pub(super) struct Masks<'a> {

@@ -10,11 +10,13 @@ mod jpeg;
 mod masks;
 mod pixels;
 mod reduce;
+mod skipped;
 
 pub use depth_scale::DepthScale;
 pub(crate) use exif::seconds_of_date;
 pub use exif::{Device, Exif, is_plausible_focal};
-pub use folder::{ImageFolder, ImageInfo, SkippedFile, SourceImage, is_image, is_unread_image};
+pub use folder::{ImageFolder, ImageInfo, SourceImage, is_image, is_unread_image};
 pub(crate) use folder::{VIDEO_EXTENSIONS, first_names, has_extension};
 pub(crate) use pixels::SizeLimit;
 pub use pixels::{ABSOLUTE_MAX_PIXELS, DEFAULT_MAX_PIXELS, Luma, Rgb};
+pub use skipped::SkippedFile;

@@ -4,7 +4,7 @@
 use std::path::Path;
 
 use super::camera::{CameraCalibration, intrinsics};
-use crate::excerpt::Excerpt;
+use crate::text::excerpt::Excerpt;
 use crate::yaml::Node;
 use crate::{Error, Result};
 

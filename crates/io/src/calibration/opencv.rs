@@ -11,7 +11,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use super::camera::{CameraCalibration, intrinsics};
-use crate::excerpt::Excerpt;
+use crate::text::excerpt::Excerpt;
 use crate::yaml::Node;
 use crate::{Error, Result};
 

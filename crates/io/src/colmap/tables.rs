@@ -12,7 +12,7 @@ use tiepoint_scene::{
 
 use super::file_ids::NO_POINT;
 use super::rig_tables::{FrameRow, RigRow};
-use crate::excerpt::Excerpt;
+use crate::text::excerpt::Excerpt;
 use crate::{Error, Result};
 
 /// Scale of a keypoint, in pixels, since the files hold none: all keypoints have equal weight.

@@ -13,7 +13,7 @@ use super::rig_tables::{FrameRow, RigRow, RigTables};
 use super::tables::{ImageRow, PointRow, Tables, UNKNOWN_SCALE_PX};
 
 use crate::binary::pose_numbers;
-use crate::excerpt::Excerpt;
+use crate::text::excerpt::Excerpt;
 use crate::text::{Lines, Number, Numbers, Words};
 use crate::{Error, Result};
 

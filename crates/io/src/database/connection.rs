@@ -12,7 +12,7 @@ use tiepoint_store::require_regular_file;
 use super::faulty_vfs;
 use super::guard::{self, Guard};
 use super::schema;
-use crate::excerpt::Excerpt;
+use crate::text::excerpt::Excerpt;
 use crate::{Error, Result};
 
 /// Upper bound of image ids. COLMAP numbers a pair of images MAX_IMAGE_ID · (smaller id) + (larger

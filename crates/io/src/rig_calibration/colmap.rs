@@ -11,7 +11,7 @@ use tiepoint_geometry::{CameraModelKind, Intrinsics, Rigid3};
 use super::camera_on_rig::{CameraOnRig, PhotosOfCamera};
 use super::rotation::rotation_of_quaternion;
 use crate::calibration::CameraCalibration;
-use crate::excerpt::Excerpt;
+use crate::text::excerpt::Excerpt;
 use crate::{Error, Result};
 
 #[derive(Deserialize)]

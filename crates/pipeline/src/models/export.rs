@@ -413,8 +413,8 @@ fn with_photos(
 /// Most gaps that an error names.
 const MAX_NAMED_GAPS: usize = 4;
 
-/// The frames without a pose among numbered images of a camera, such as `3 to 5, 9`. `None` if there
-/// are none, or if the numbers do not tell: usually they rise by one step.
+/// The frames without a pose among numbered images of a camera, such as `3 to 5, 9`. `None` if
+/// there are none, or if the numbers do not tell: usually they rise by one step.
 fn gaps(names: &[&str]) -> Option<String> {
     let numbers: Vec<usize> = names.iter().map(|name| number(name)).collect::<Option<_>>()?;
     let steps: Vec<usize> = numbers

@@ -15,8 +15,8 @@ const MAX_TIME_DIFFERENCE: f64 = 0.05;
 
 /// Returns the frames of a rig: the images of one instant. `images` has the images of each camera,
 /// the reference camera first, and the time of the reference camera's clock minus that of the
-/// camera's in seconds. An image without others is a frame of one. `None` unless most images of each
-/// camera have a time.
+/// camera's in seconds. An image without others is a frame of one. `None` unless most images of
+/// each camera have a time.
 pub fn frames_by_time(
     scene: &Reconstruction,
     images: &[(Vec<ImageId>, f64)],

@@ -1,5 +1,7 @@
 //! Text files: lines, the words of a line, and numbers.
 
+pub(crate) mod excerpt;
+
 use std::fmt;
 use std::fs::File;
 use std::io::{BufRead, BufReader, Read};
@@ -10,7 +12,7 @@ use tiepoint_geometry::Rigid3;
 use tiepoint_geometry::nalgebra::Vector3;
 use tiepoint_store::require_regular_file;
 
-use crate::excerpt::Excerpt;
+use crate::text::excerpt::Excerpt;
 use crate::{Error, Result, rotation};
 
 /// Longest line that is read, in bytes. A line of COLMAP holds all keypoints of an image: 2²⁰ of
