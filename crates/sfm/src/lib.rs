@@ -47,6 +47,6 @@ pub use tracks::{
     held_out_rms_px, hold_out_tracks, merge_tracks, retriangulate, triangulate_image,
 };
 pub use two_view::{
-    ImageObservations, InitialPair, VerifyOptions, estimate_focal_lengths, focal_priors,
-    initial_pairs, verify_pair,
+    Candidates, ImageObservations, InitialPair, Overlay, Stationary, StationarySearch,
+    VerifyOptions, estimate_focal_lengths, focal_priors, initial_pairs, verify_pair,
 };

@@ -25,8 +25,8 @@ pub use model_location::{model_folder, read_times};
 pub use model_output::{model_files, model_names, stage_model, write_model};
 pub use model_photos::{decoder_bytes, fingerprints_of, inputs_of, is_unchanged};
 pub use report::{
-    CameraReport, DenseReport, FeaturesReport, MapReport, MatchReport, ModelReport, Report,
-    ScaleReport, StageReports,
+    CameraReport, DenseReport, FeaturesReport, MapReport, MatchReport, ModelReport, OverlayReport,
+    Report, ScaleReport, StageReports,
 };
 pub use rig_file::{ConstraintKind, RigCamera, RigClock, RigClockState, RigFile};
 pub use rig_report::{ExtrinsicsReport, PaperReport, RigCameraReport, RigReport, SplitReport};
