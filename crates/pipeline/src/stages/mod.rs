@@ -17,6 +17,7 @@ pub(crate) mod rig_hints;
 pub(crate) mod scale;
 pub(crate) mod stationary;
 pub(crate) mod video;
+pub(crate) mod warnings;
 
 pub use colors::color_points;
 pub use dense::dense;

@@ -15,7 +15,8 @@ use tiepoint_sfm::{
 
 use crate::Error;
 use crate::workspace::database_scene::read_scene;
-use crate::workspace::report::{MatchReport, OverlayReport};
+use crate::workspace::overlay_report::OverlayReport;
+use crate::workspace::report::MatchReport;
 
 /// Pairs whose matches are in memory at a time.
 const PAIRS_AT_ONCE: usize = 64;

@@ -7,7 +7,9 @@ use tiepoint_sfm::scene::{Camera, CameraId, Reconstruction};
 use tiepoint_store::{Error as StoreError, require_regular_file};
 
 use crate::workspace::file_names::DENSE_CLOUD;
+use crate::workspace::overlay_report::OverlayReport;
 use crate::workspace::rig_report::RigReport;
+use crate::workspace::warning::Warning;
 use crate::{Error, Stage};
 
 /// `report.json`: the results of all stages.
@@ -20,6 +22,9 @@ pub struct Report {
     pub stages: StageReports,
     /// The models, the largest first.
     pub models: Vec<ModelReport>,
+    /// Signs that something is wrong.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub warnings: Vec<Warning>,
 }
 
 /// Summaries of the stages; `None` before a stage is complete.
@@ -88,27 +93,20 @@ pub struct MatchReport {
     pub overlays: Vec<OverlayReport>,
 }
 
-fn is_zero(count: &usize) -> bool {
-    *count == 0
+impl MatchReport {
+    /// What a user should know about the matches.
+    pub(crate) fn warnings(&self) -> Vec<Warning> {
+        let found = (self.stationary_matches > 0).then(|| Warning::StationaryMatches {
+            matches: self.stationary_matches,
+            watermark_pairs: self.watermark_pairs,
+            overlays: self.overlays.clone(),
+        });
+        found.into_iter().collect()
+    }
 }
 
-/// What stands still in the images of a camera while the scene moves.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(expecting = "an object")]
-pub struct OverlayReport {
-    /// COLMAP's id of the camera; none for images of one size that each have their own camera.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub camera: Option<u32>,
-    /// Image width, in pixels.
-    pub width: u32,
-    /// Image height, in pixels.
-    pub height: u32,
-    /// Number of images with it.
-    pub images: usize,
-    /// Number of spots with a keypoint that stands still.
-    pub spots: usize,
-    /// Where they are: left, top, right and bottom in pixels, the region with most spots first.
-    pub regions: Vec<[f64; 4]>,
+fn is_zero(count: &usize) -> bool {
+    *count == 0
 }
 
 /// Summary of mapping.
@@ -265,16 +263,18 @@ impl Report {
 
     /// Removes the parts on stages that are not complete.
     pub(crate) fn keep_only(&mut self, is_complete: impl Fn(Stage) -> bool) {
-        let Self { stages, models, .. } = self;
+        let Self { stages, models, warnings, .. } = self;
         if !is_complete(Stage::Features) {
             stages.features = None;
         }
         if !is_complete(Stage::Match) {
             stages.matches = None;
+            warnings.clear();
         }
         if !is_complete(Stage::Map) {
             stages.map = None;
             models.clear();
+            warnings.retain(Warning::is_of_matches);
         }
         if !is_complete(Stage::Dense) {
             stages.dense = None;

@@ -91,6 +91,7 @@ impl StageResult {
         two_views: BTreeMap<ImagePair, TwoView>,
     ) -> Self {
         Self::in_database(database, two_views, move |all, seconds| {
+            all.warnings = report.warnings();
             all.stages.matches = Some(MatchReport { seconds, ..report });
         })
     }

@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use tiepoint_scene::{ImageId, ImagePair, Keypoint, Match};
 
 use super::cells::cell_of;
-use super::displacement::{MOVING_PX, displacement_px};
+use super::displacement::{STILL_PX, displacement_px};
 
 /// Keypoints on overlays.
 #[derive(Clone, Debug, Default)]
@@ -61,8 +61,8 @@ impl Stationary<'_> {
         };
         let is_kept = |m: &&Match| {
             let is_on = self.contains(pair.a, m.a) || self.contains(pair.b, m.b);
-            let is_slow = displacement_px(self.all, pair, m).is_some_and(|px| px < MOVING_PX);
-            !is_on && !(is_slow && is_among(pair.a, m.a) && is_among(pair.b, m.b))
+            let is_slow = displacement_px(self.all, pair, m).is_some_and(|px| px < STILL_PX);
+            !(is_on || is_slow && is_among(pair.a, m.a) && is_among(pair.b, m.b))
         };
         matches.iter().filter(is_kept).copied().collect()
     }
