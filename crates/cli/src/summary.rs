@@ -20,8 +20,19 @@ const MAX_NAMES: usize = 8;
 /// is a centimetre at 10 m/s.
 const MIN_REPORTED_DIFFERENCE_S: f64 = 0.001;
 
-/// The stages and models of a workspace.
+/// The stages and models of a workspace, and what to be warned of.
 pub(crate) fn report(workspace: &Path, report: &Report) -> String {
+    let mut text = stages(report);
+    for (index, warning) in report.warnings.iter().enumerate() {
+        let label = if index == 0 { "warnings" } else { "" };
+        let _ = writeln!(text, "{label:<9} {}", printable(&warning.to_string()));
+    }
+    let _ = writeln!(text, "in {}", printable(&workspace.display().to_string()));
+    text
+}
+
+/// The stages and models.
+fn stages(report: &Report) -> String {
     let mut text = String::new();
     let mut line = |arguments: std::fmt::Arguments| {
         // File names may contain line breaks. Writing to a string does not fail.
@@ -161,7 +172,6 @@ pub(crate) fn report(workspace: &Path, report: &Report) -> String {
             points  ({seconds:.1} s)"
         ));
     }
-    line(format_args!("in {}", workspace.display()));
     text
 }
 

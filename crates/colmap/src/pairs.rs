@@ -6,7 +6,9 @@ use std::time::Instant;
 
 use tiepoint_pipeline::io::database::Database;
 use tiepoint_pipeline::sfm::scene::{Image, ImageId, ImagePair};
-use tiepoint_pipeline::stages::{MatchOptions, PairChoice, all_ids, learn_retrieval, match_pairs};
+use tiepoint_pipeline::stages::{
+    MatchOptions, PairChoice, Removal, all_ids, learn_retrieval, match_pairs,
+};
 use tiepoint_pipeline::workspace::MatchReport;
 use tiepoint_pipeline::{Error, Event, Stage, Watch, emit};
 
@@ -92,11 +94,24 @@ pub fn match_database(
         return Err(Error::Colmap { path: path.to_owned(), what });
     }
     let choice = choice(&database, &images, pairs, options.seed)?;
-    let matched = match_pairs(&mut database, choice, options, watch);
+    let matched = match_pairs(&mut database, choice, options, watch)
+        .and_then(|report| remove_overlays(&mut database, report, options));
     database.close()?;
     let seconds = start.elapsed().as_secs_f64();
     let report = MatchReport { seconds, ..matched? };
     emit(watch, &Event::StageDone { stage: Stage::Match, seconds })?;
+    Ok(report)
+}
+
+/// Replaces the geometries of pairs with matches on overlays.
+fn remove_overlays(
+    database: &mut Database,
+    report: MatchReport,
+    options: &MatchOptions,
+) -> Result<MatchReport, Error> {
+    let removal = Removal::find(database, &options.verify, options.seed)?;
+    let report = removal.added_to(report, database)?;
+    database.write_two_views(removal.into_views().iter().map(|(pair, view)| (*pair, view)))?;
     Ok(report)
 }
 

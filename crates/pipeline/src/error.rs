@@ -213,6 +213,20 @@ pub enum Error {
         /// Focal length in pixels from EXIF and image size in pixels of a camera that has one.
         from_exif: Option<(f64, Size)>,
     },
+    /// The images do not determine a depth: the camera only turned, or all points are on a plane.
+    #[error(
+        "the photos in {path} give no model: {turned} of the {verified} pairs that match agree \
+        with a camera that turned on one spot, so that no point has a depth; take photos from \
+        different places, a tenth of the distance to the scene apart"
+    )]
+    OneSpot {
+        /// The workspace.
+        path: PathBuf,
+        /// Number of pairs whose matches agree with a homography.
+        turned: usize,
+        /// Number of pairs with a two-view geometry.
+        verified: usize,
+    },
     /// A similarity takes a model to numbers that are not finite.
     #[error(
         "cannot transform {path}: poses or points would not be finite numbers; check the scale and \

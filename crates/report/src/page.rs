@@ -311,8 +311,13 @@ pub fn view(path: &Path) -> Result<PathBuf, Error> {
         photos: Some(&Thumbnails::of_workspace(path, &model, Thumbnails::MAX_BYTES)),
     };
     let table = Table::of_columns(&[name.to_string()], summary(&model, report.as_ref()));
+    let warnings = report.iter().flat_map(|report| &report.warnings);
+    let rows: Vec<TableRow> =
+        warnings.map(|warning| ("warning".to_owned(), vec![warning.to_string()])).collect();
+    let warnings = (!rows.is_empty()).then(|| Table::of_columns(&[String::new()], rows));
+    let tables: Vec<Table> = std::iter::once(table).chain(warnings).collect();
     let section =
-        ReportSection { tables: &[table], models: &[report_model], ..ReportSection::default() };
+        ReportSection { tables: &tables, models: &[report_model], ..ReportSection::default() };
     let html = report_html(&format!("tiepoint: {name}"), &[section], files);
     let file = path.join(PAGE);
     write_page(&file, &html)?;

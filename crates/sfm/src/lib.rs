@@ -1,5 +1,6 @@
 #![doc = include_str!("../README.md")]
 
+mod diagnostics;
 mod error;
 mod event;
 mod frame_names;
@@ -16,6 +17,10 @@ mod timeline;
 mod tracks;
 mod two_view;
 
+pub use diagnostics::{
+    ImageScale, Jump, LensResiduals, image_scales, images_with_few_observations, jumps,
+    lens_residuals, num_points_behind,
+};
 pub use error::Error;
 pub use event::{Event, Failure, OptionalStage};
 pub use frame_names::{natural_order, pairs_by_name};
@@ -47,6 +52,6 @@ pub use tracks::{
     held_out_rms_px, hold_out_tracks, merge_tracks, retriangulate, triangulate_image,
 };
 pub use two_view::{
-    ImageObservations, InitialPair, VerifyOptions, estimate_focal_lengths, focal_priors,
-    initial_pairs, verify_pair,
+    Candidates, ImageObservations, InitialPair, Overlay, Stationary, StationarySearch,
+    VerifyOptions, estimate_focal_lengths, focal_priors, initial_pairs, verify_pair,
 };

@@ -17,6 +17,7 @@ mod hostile;
 mod hostile_folders;
 mod model;
 mod names;
+mod overlays;
 mod own_files;
 mod page;
 mod photos;

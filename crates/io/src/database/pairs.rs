@@ -64,6 +64,23 @@ impl Database {
         })
     }
 
+    /// Writes two-view geometries of pairs and replaces the records of stages, in one transaction.
+    ///
+    /// # Errors
+    ///
+    /// If a pair has an image that is not in the database, and if the file cannot be written.
+    pub fn write_two_views_for<'a>(
+        &mut self,
+        batch: impl IntoIterator<Item = (ImagePair, &'a TwoView)>,
+        rows: &[StageRow],
+    ) -> Result<()> {
+        self.transaction(|db| {
+            let sql = db.two_view_sql()?;
+            batch.into_iter().try_for_each(|(pair, view)| db.put_two_view(&sql, pair, view))?;
+            db.replace_stage_rows(rows)
+        })
+    }
+
     /// Writes matches and two-view geometries of pairs in one transaction, so that every pair has
     /// both or neither; replaces those in the file.
     ///
@@ -229,6 +246,20 @@ impl Database {
     pub fn read_matches_of(&self, pair: ImagePair) -> Result<Vec<Match>> {
         let sql = format!(
             "SELECT pair_id, rows, cols, data FROM matches WHERE pair_id = {}",
+            self.pair_id_of(pair)?
+        );
+        let found = self.try_rows(&sql, |row| self.matches(row))?;
+        Ok(found.into_iter().next().unwrap_or_default())
+    }
+
+    /// Reads the inlier matches of a pair; empty if there is no two-view geometry.
+    ///
+    /// # Errors
+    ///
+    /// If the row has invalid content, and if the file cannot be read.
+    pub fn read_inliers_of(&self, pair: ImagePair) -> Result<Vec<Match>> {
+        let sql = format!(
+            "SELECT pair_id, rows, cols, data FROM two_view_geometries WHERE pair_id = {}",
             self.pair_id_of(pair)?
         );
         let found = self.try_rows(&sql, |row| self.matches(row))?;

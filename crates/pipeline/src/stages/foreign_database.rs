@@ -20,6 +20,7 @@ use tiepoint_sfm::{ImageObservations, VerifyOptions, verify_pair};
 use tiepoint_store::{Error as StoreError, escaped};
 
 use crate::stages::option_keys;
+use crate::stages::stationary::Removal;
 use crate::workspace::keypoints::keypoint;
 use crate::workspace::option_names;
 use crate::workspace::records::Recipe;
@@ -208,7 +209,9 @@ fn verify_all(
         batch.clear();
         taken?;
     }
-    Ok(StageResult::matches(database, report))
+    let removal = Removal::find(&database, options, seed)?;
+    let report = removal.added_to(report, &database)?;
+    Ok(StageResult::matches(database, report, removal.into_views()))
 }
 
 /// The pairs of a database, with their images.

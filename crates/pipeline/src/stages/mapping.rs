@@ -11,7 +11,9 @@ use tiepoint_input::{ImageFolder, Size};
 use tiepoint_io::colmap::Format;
 use tiepoint_io::database::{Database, DatabaseFrame};
 use tiepoint_io::{ply, timestamps};
-use tiepoint_sfm::scene::{Camera, CameraId, CorrespondenceGraph, Image, ImageId, Reconstruction};
+use tiepoint_sfm::scene::{
+    Camera, CameraId, CorrespondenceGraph, Image, ImageId, Reconstruction, TwoViewKind,
+};
 use tiepoint_sfm::{
     self as sfm, Existing, Failure, KnownRigs, MappedModel, MapperOptions, OptionalStage,
     RefineIntrinsics, RigMode, VerifyOptions, rig_candidates, rig_pairs,
@@ -23,6 +25,7 @@ use crate::stages::option_keys;
 use crate::stages::rig_calibration::known_rigs;
 use crate::stages::rig_hints::why_no_rig;
 use crate::stages::scale::scale_to_baseline;
+use crate::stages::warnings::warnings_of_models;
 use crate::workspace::database_scene::read_scene;
 use crate::workspace::file_names::{SPARSE, is_rig_name, model_path, rig_name};
 use crate::workspace::folder::{POINTS, rigs_in};
@@ -33,6 +36,7 @@ use crate::workspace::report::{MapReport, ModelReport, ScaleReport};
 use crate::workspace::rig_file::RigFile;
 use crate::workspace::rig_report::RigReport;
 use crate::workspace::stage_run::{StageRequest, StageResult, StageRun};
+use crate::workspace::warning::Warning;
 use crate::{Error, Event, Stage, Watch, Workspace, emit};
 
 /// Options of mapping.
@@ -218,7 +222,8 @@ impl<'a> MapRequest<'a> {
         };
         let (options, notify) = (&self.options, &mut notified);
         let mut models = match (&self.input_model, known_rigs) {
-            (None, None) => sfm::map(graph, scene, &mut descriptors, options, notify)?,
+            (None, None) => sfm::map(graph, scene, &mut descriptors, options, notify)
+                .map_err(|cause| without_depth(run.workspace, graph, cause))?,
             (None, Some(rigs)) => {
                 sfm::map_with_rigs(graph, scene, rigs, &mut descriptors, options, notify)?
             }
@@ -264,6 +269,8 @@ impl<'a> MapRequest<'a> {
         for what in &notes {
             run.emit(&Event::Noted { what })?;
         }
+        let of_models = models.iter().map(|model| &model.reconstruction).zip(&reports);
+        let warnings = warnings_of_models(&input.scene, of_models);
         // The rigs are written after every step that may fail: a run that ends before the stage is
         // complete repeats it and writes them again.
         if let Some(first) = models.first()
@@ -281,6 +288,8 @@ impl<'a> MapRequest<'a> {
             report: Box::new(move |all, seconds| {
                 all.stages.map = Some(MapReport { seconds, notes });
                 all.models = reports;
+                all.warnings.retain(Warning::is_of_matches);
+                all.warnings.extend(warnings);
             }),
         })
     }
@@ -426,6 +435,22 @@ fn load_graph(workspace: &Workspace, scene: &Reconstruction) -> Result<Correspon
     let graph = CorrespondenceGraph::new(&counts, database.read_two_views()?);
     database.close()?;
     Ok(graph)
+}
+
+/// [`Error::OneSpot`] if no image got a pose and most pairs agree with a homography, else `cause`.
+fn without_depth(workspace: &Workspace, graph: &CorrespondenceGraph, cause: sfm::Error) -> Error {
+    let is_turn = |kind| matches!(kind, TwoViewKind::Panoramic | TwoViewKind::PlanarOrPanoramic);
+    let turned = graph.pairs().values().filter(|view| is_turn(view.kind)).count();
+    let verified = graph.pairs().len();
+    let is_nothing = matches!(
+        cause,
+        sfm::Error::Adjustment(sfm::adjust::Error::NothingToAdjust { images: 0, .. })
+            | sfm::Error::NoInitialPair { .. }
+    );
+    match is_nothing && 2 * turned > verified {
+        true => Error::OneSpot { path: workspace.root().to_owned(), turned, verified },
+        false => cause.into(),
+    }
 }
 
 /// [`Error::NoOverlap`] with the numbers of the database.

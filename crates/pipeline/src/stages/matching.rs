@@ -19,6 +19,7 @@ use crate::stages::foreign_database::{has_imported_pairs, require_sift, verify_i
 use crate::stages::loaded_features::LoadedFeatures;
 use crate::stages::option_keys;
 use crate::stages::pair_choice::{self, IMAGES_READ_AT_ONCE, PairChoice};
+use crate::stages::stationary::Removal;
 use crate::workspace::option_names::PAIRS;
 use crate::workspace::records::Recipe;
 use crate::workspace::report::MatchReport;
@@ -123,12 +124,14 @@ pub fn match_images(
         let choice =
             pair_choice::choose_pairs_of_images(workspace, &database, &images, pairs, seed)?;
         let report = match_pairs(&mut database, choice, options, run.watch)?;
-        Ok(StageResult::matches(database, report))
+        let removal = Removal::find(&database, &options.verify, options.seed)?;
+        let report = removal.added_to(report, &database)?;
+        Ok(StageResult::matches(database, report, removal.into_views()))
     })
 }
 
 /// Matches and verifies the pairs of a choice that have no matches in the database yet. Completed
-/// pairs are kept when `watch` stops the run.
+/// pairs are kept when `watch` stops the run. Matches on overlays are not removed.
 ///
 /// # Errors
 ///

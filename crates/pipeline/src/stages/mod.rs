@@ -15,7 +15,9 @@ pub(crate) mod reconstruct;
 pub(crate) mod rig_calibration;
 pub(crate) mod rig_hints;
 pub(crate) mod scale;
+pub(crate) mod stationary;
 pub(crate) mod video;
+pub(crate) mod warnings;
 
 pub use colors::color_points;
 pub use dense::dense;
@@ -29,4 +31,5 @@ pub use matching::{MatchOptions, match_images, match_pairs};
 pub use pair_choice::{PairChoice, all_ids, choose_pairs, learn_retrieval};
 pub use reconstruct::{Options, reconstruct};
 pub use rig_calibration::known_rigs;
+pub use stationary::Removal;
 pub use video::{OpenedInput, open_input};

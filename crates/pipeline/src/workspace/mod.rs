@@ -11,11 +11,13 @@ pub(crate) mod model_location;
 pub(crate) mod model_output;
 pub(crate) mod model_photos;
 pub(crate) mod option_names;
+pub(crate) mod overlay_report;
 pub(crate) mod records;
 pub(crate) mod report;
 pub(crate) mod rig_file;
 pub(crate) mod rig_report;
 pub(crate) mod stage_run;
+pub(crate) mod warning;
 
 pub use database_scene::read_scene;
 pub use file_marks::PLY_MARK;
@@ -24,9 +26,11 @@ pub use folder::{REPORT, Workspace, refuse_workspace};
 pub use model_location::{model_folder, read_times};
 pub use model_output::{model_files, model_names, stage_model, write_model};
 pub use model_photos::{decoder_bytes, fingerprints_of, inputs_of, is_unchanged};
+pub use overlay_report::OverlayReport;
 pub use report::{
     CameraReport, DenseReport, FeaturesReport, MapReport, MatchReport, ModelReport, Report,
     ScaleReport, StageReports,
 };
 pub use rig_file::{ConstraintKind, RigCamera, RigClock, RigClockState, RigFile};
 pub use rig_report::{ExtrinsicsReport, PaperReport, RigCameraReport, RigReport, SplitReport};
+pub use warning::{ScaledImage, Warning};

@@ -7,7 +7,9 @@ use tiepoint_sfm::scene::{Camera, CameraId, Reconstruction};
 use tiepoint_store::{Error as StoreError, require_regular_file};
 
 use crate::workspace::file_names::DENSE_CLOUD;
+use crate::workspace::overlay_report::OverlayReport;
 use crate::workspace::rig_report::RigReport;
+use crate::workspace::warning::Warning;
 use crate::{Error, Stage};
 
 /// `report.json`: the results of all stages.
@@ -20,6 +22,9 @@ pub struct Report {
     pub stages: StageReports,
     /// The models, the largest first.
     pub models: Vec<ModelReport>,
+    /// Signs that something is wrong.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub warnings: Vec<Warning>,
 }
 
 /// Summaries of the stages; `None` before a stage is complete.
@@ -77,6 +82,31 @@ pub struct MatchReport {
     pub matches: usize,
     /// Number of inlier matches of verified pairs.
     pub inlier_matches: usize,
+    /// Number of matches on overlays, which are not used.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub stationary_matches: usize,
+    /// Number of pairs that have nothing but matches on overlays.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub watermark_pairs: usize,
+    /// What stands still in images while the scene moves.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub overlays: Vec<OverlayReport>,
+}
+
+impl MatchReport {
+    /// What a user should know about the matches.
+    pub(crate) fn warnings(&self) -> Vec<Warning> {
+        let found = (self.stationary_matches > 0).then(|| Warning::StationaryMatches {
+            matches: self.stationary_matches,
+            watermark_pairs: self.watermark_pairs,
+            overlays: self.overlays.clone(),
+        });
+        found.into_iter().collect()
+    }
+}
+
+fn is_zero(count: &usize) -> bool {
+    *count == 0
 }
 
 /// Summary of mapping.
@@ -233,16 +263,18 @@ impl Report {
 
     /// Removes the parts on stages that are not complete.
     pub(crate) fn keep_only(&mut self, is_complete: impl Fn(Stage) -> bool) {
-        let Self { stages, models, .. } = self;
+        let Self { stages, models, warnings, .. } = self;
         if !is_complete(Stage::Features) {
             stages.features = None;
         }
         if !is_complete(Stage::Match) {
             stages.matches = None;
+            warnings.clear();
         }
         if !is_complete(Stage::Map) {
             stages.map = None;
             models.clear();
+            warnings.retain(Warning::is_of_matches);
         }
         if !is_complete(Stage::Dense) {
             stages.dense = None;

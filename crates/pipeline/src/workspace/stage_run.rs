@@ -6,10 +6,12 @@
 //! database is complete for later runs when the last transaction of the database says so, which
 //! comes behind the report: a complete stage always has its report.
 
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::time::Instant;
 
 use tiepoint_io::database::Database;
+use tiepoint_sfm::scene::{ImagePair, TwoView};
 
 use super::folder::Workspace;
 use super::records::{Progress, Recipe};
@@ -67,8 +69,9 @@ pub(crate) struct StageResult {
     pub(crate) files: Vec<String>,
     /// Names of files that are removed with them.
     pub(crate) removed: Vec<String>,
-    /// The database, if it has the results.
-    pub(crate) database: Option<Database>,
+    /// The database, if it has the results, and the two-view geometries that its last transaction
+    /// replaces.
+    pub(crate) database: Option<(Database, BTreeMap<ImagePair, TwoView>)>,
     /// Its section of the report.
     pub(crate) report: WriteReport,
 }
@@ -76,21 +79,30 @@ pub(crate) struct StageResult {
 impl StageResult {
     /// The result of the feature stage.
     pub(crate) fn features(database: Database, report: FeaturesReport) -> Self {
-        Self::in_database(database, move |all, seconds| {
+        Self::in_database(database, BTreeMap::new(), move |all, seconds| {
             all.stages.features = Some(FeaturesReport { seconds, ..report });
         })
     }
 
-    /// The result of matching.
-    pub(crate) fn matches(database: Database, report: MatchReport) -> Self {
-        Self::in_database(database, move |all, seconds| {
+    /// The result of matching. `two_views`: the geometries that differ from those in the database.
+    pub(crate) fn matches(
+        database: Database,
+        report: MatchReport,
+        two_views: BTreeMap<ImagePair, TwoView>,
+    ) -> Self {
+        Self::in_database(database, two_views, move |all, seconds| {
+            all.warnings = report.warnings();
             all.stages.matches = Some(MatchReport { seconds, ..report });
         })
     }
 
-    fn in_database(database: Database, report: impl FnOnce(&mut Report, f64) + 'static) -> Self {
+    fn in_database(
+        database: Database,
+        two_views: BTreeMap<ImagePair, TwoView>,
+        report: impl FnOnce(&mut Report, f64) + 'static,
+    ) -> Self {
         let (files, removed) = (Vec::new(), Vec::new());
-        Self { files, removed, database: Some(database), report: Box::new(report) }
+        Self { files, removed, database: Some((database, two_views)), report: Box::new(report) }
     }
 }
 
@@ -127,8 +139,9 @@ impl Workspace {
         let seconds = start.elapsed().as_secs_f64();
         self.complete(stage);
         self.publish(files, &removed, |all| report(all, seconds))?;
-        if let Some(mut database) = database {
-            database.write_stage_rows(&self.records.rows())?;
+        if let Some((mut database, two_views)) = database {
+            let two_views = two_views.iter().map(|(pair, view)| (*pair, view));
+            database.write_two_views_for(two_views, &self.records.rows())?;
             database.close()?;
         }
         emit(watch, &Event::StageDone { stage, seconds })

@@ -1,11 +1,13 @@
-//! Two-view geometry: verification of pairs, focal lengths, and initial pairs.
+//! Two-view geometry: verification of pairs, matches on overlays, focal lengths, and initial pairs.
 
 mod focal;
 mod initial_pair;
+mod stationary;
 mod verify;
 
 pub(crate) use focal::with_focal;
 pub use focal::{estimate_focal_lengths, focal_priors};
 pub use initial_pair::{InitialPair, initial_pairs};
 pub(crate) use initial_pair::{estimate_relative_pose, relative_pose};
+pub use stationary::{Candidates, Overlay, Stationary, StationarySearch};
 pub use verify::{ImageObservations, VerifyOptions, verify_pair};

@@ -11,6 +11,7 @@ mod loop_closure;
 mod mapper;
 mod merge_by_motion;
 mod options;
+mod overlays;
 mod point_selection;
 mod repetition;
 mod rig;

@@ -1,0 +1,247 @@
+//! Warnings on the matches and models of a run.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use tiepoint_sfm as sfm;
+use tiepoint_sfm::geometry::numeric::median;
+use tiepoint_sfm::scene::{CameraId, ImageId, Reconstruction};
+
+use crate::workspace::report::ModelReport;
+use crate::workspace::rig_report::RigCameraReport;
+use crate::workspace::warning::{ScaledImage, Warning};
+
+/// Smallest deviation of an image's scale from the median of its camera, in standard deviations. Of
+/// normal errors one image in 1.7 million deviates by more.
+const MIN_SCALE_SIGMAS: f64 = 5.0;
+/// Standard deviation of a normal variable over its median absolute deviation.
+const SD_OF_MAD: f64 = 1.4826;
+/// Fewest images of a camera, for a median and a scatter that a third of other photos cannot move.
+const MIN_IMAGES_OF_CAMERA: usize = 6;
+/// Smallest radial residual that a lens model leaves, relative to half of the image's diagonal:
+/// four times what SIMPLE_RADIAL leaves of the action lens of `tiepoint synth` (4e-5; a pinhole
+/// leaves 7e-6 at most). With half, that drive is still silent; a fisheye was not measured.
+const MIN_RADIAL_RESIDUAL: f64 = 1.5e-4;
+/// A lens that stretches more where its outermost observations are, or compresses more, is none.
+/// The widest rectilinear action cameras have a barrel distortion of a third.
+const MAX_STRETCH: f64 = 2.0;
+/// Below this focal length relative to the larger side, a lens with residuals is likely a fisheye:
+/// a field of view of 80°.
+const FISHEYE_FOCAL: f64 = 0.6;
+/// Largest ratio of a focal length and that of EXIF or of the user. EXIF rounds to a millimetre of
+/// 24 (2 %), refers to a diagonal or a width (5 %), and leaves out the crop of a stabiliser (10 %).
+const MAX_FOCAL_RATIO: f64 = 1.25;
+/// Focal lengths relative to the larger side of perspective lenses: views of 118° to 5°.
+const FOCAL_RANGE: [f64; 2] = [0.3, 12.0];
+/// Smallest scatter of a rig's relative poses, relative to the baseline.
+const MIN_RIG_SCATTER: f64 = 0.1;
+/// An image with fewer observations is as uncertain as a pair that is not verified.
+const MIN_OBSERVATIONS: usize = 15;
+/// Smallest share of observations behind a camera.
+const MIN_SHARE_BEHIND: f64 = 0.001;
+/// A model with fewer images is not another scene.
+const MIN_IMAGES_OF_SCENE: usize = 3;
+
+/// The warnings on all models. `initial`: the scene before mapping.
+pub(crate) fn warnings_of_models<'a>(
+    initial: &Reconstruction,
+    models: impl IntoIterator<Item = (&'a Reconstruction, &'a ModelReport)>,
+) -> Vec<Warning> {
+    let mut warnings = Vec::new();
+    let mut sizes = Vec::new();
+    for (model, report) in models {
+        sizes.push(report.registered);
+        let place = Place { model, path: &report.path };
+        warnings.extend(place.focal_lengths(initial));
+        warnings.extend(place.lenses());
+        warnings.extend(place.scaled_images());
+        warnings.extend(place.rig(report));
+        warnings.extend(place.images());
+    }
+    sizes.retain(|images| *images >= MIN_IMAGES_OF_SCENE);
+    if sizes.len() > 1 {
+        warnings.insert(0, Warning::SeveralModels { images: sizes });
+    }
+    warnings
+}
+
+/// A model and its folder.
+struct Place<'a> {
+    model: &'a Reconstruction,
+    path: &'a str,
+}
+
+impl Place<'_> {
+    fn path(&self) -> String {
+        self.path.to_owned()
+    }
+
+    fn name(&self, image: ImageId) -> String {
+        self.model.image(image).name.clone()
+    }
+
+    fn focal_lengths(&self, initial: &Reconstruction) -> Vec<Warning> {
+        let used: BTreeSet<CameraId> =
+            self.model.registered().map(|(_, image, _)| image.camera).collect();
+        let warning = |id: CameraId| {
+            let camera = self.model.camera(id);
+            let kind = camera.intrinsics.kind();
+            if kind.focal_indices().is_empty() {
+                return None;
+            }
+            let focal_px = camera.intrinsics.mean_focal_px();
+            let side_px = camera.width.max(camera.height);
+            let before = (id.index() < initial.num_cameras()).then(|| initial.camera(id));
+            let expected_px = before
+                .filter(|before| before.has_focal_prior)
+                .map(|before| before.intrinsics.mean_focal_px());
+            let is_far = match expected_px {
+                Some(expected_px) => {
+                    let ratio = focal_px / expected_px;
+                    ratio.max(1.0 / ratio) > MAX_FOCAL_RATIO
+                }
+                None => {
+                    let relative = focal_px / f64::from(side_px);
+                    !kind.is_fisheye() && !(FOCAL_RANGE[0]..=FOCAL_RANGE[1]).contains(&relative)
+                }
+            };
+            let (model, camera) = (self.path(), id.0 + 1);
+            is_far.then_some(Warning::FocalLength { model, camera, focal_px, expected_px, side_px })
+        };
+        used.into_iter().filter_map(warning).collect()
+    }
+
+    fn lenses(&self) -> Vec<Warning> {
+        let mut warnings = Vec::new();
+        for lens in sfm::lens_residuals(self.model) {
+            let camera = self.model.camera(lens.camera);
+            let kind = camera.intrinsics.kind();
+            let (model, id) = (self.path(), lens.camera.0 + 1);
+            let camera_model = kind.name().to_owned();
+            let is_lens =
+                lens.stretch.is_some_and(|s| (1.0 / MAX_STRETCH..=MAX_STRETCH).contains(&s));
+            if !is_lens {
+                let params = camera.intrinsics.params().to_vec();
+                let (model, camera_model) = (model.clone(), camera_model.clone());
+                warnings.push(Warning::Distortion { model, camera: id, camera_model, params });
+            }
+            if lens.relative > MIN_RADIAL_RESIDUAL {
+                let side = f64::from(camera.width.max(camera.height));
+                let is_wide = camera.intrinsics.mean_focal_px() < FISHEYE_FOCAL * side;
+                let better = match is_wide && !kind.is_fisheye() {
+                    true => "OPENCV_FISHEYE",
+                    false if kind.is_fisheye() => "THIN_PRISM_FISHEYE",
+                    false => "OPENCV",
+                };
+                warnings.push(Warning::LensResiduals {
+                    model,
+                    camera: id,
+                    camera_model,
+                    residual_px: lens.radial_rms_px,
+                    better: better.to_owned(),
+                });
+            }
+        }
+        warnings
+    }
+
+    fn scaled_images(&self) -> Vec<Warning> {
+        let mut by_camera: BTreeMap<CameraId, Vec<sfm::ImageScale>> = BTreeMap::new();
+        for found in sfm::image_scales(self.model) {
+            by_camera.entry(found.camera).or_default().push(found);
+        }
+        let warning = |(camera, found): (CameraId, Vec<sfm::ImageScale>)| {
+            let image = |scale: &sfm::ImageScale| {
+                let &sfm::ImageScale { image, scale, sd, .. } = scale;
+                ScaledImage { name: self.name(image), scale, sd }
+            };
+            let images: Vec<ScaledImage> = deviating(&found).into_iter().map(image).collect();
+            let (model, camera) = (self.path(), camera.0 + 1);
+            let any = !images.is_empty();
+            any.then_some(Warning::ImagesOfOtherFocalLength { model, camera, images })
+        };
+        by_camera.into_iter().filter_map(warning).collect()
+    }
+
+    fn rig(&self, report: &ModelReport) -> Vec<Warning> {
+        let cameras = report.rig.iter().flat_map(|rig| &rig.cameras);
+        let scattered = cameras.filter(|camera| camera.relative_translation_rms >= MIN_RIG_SCATTER);
+        let warning = |camera: &RigCameraReport| Warning::RigScatter {
+            model: self.path(),
+            cameras: camera.names.clone(),
+            relative: camera.relative_translation_rms,
+        };
+        scattered.map(warning).collect()
+    }
+
+    fn images(&self) -> Vec<Warning> {
+        let mut warnings = Vec::new();
+        let jumps = sfm::jumps(self.model);
+        if !jumps.is_empty() {
+            let images = jumps.iter().map(|jump| self.name(jump.image)).collect();
+            warnings.push(Warning::Jumps { model: self.path(), images });
+        }
+        let few = sfm::images_with_few_observations(self.model, MIN_OBSERVATIONS);
+        if !few.is_empty() {
+            let images = few.into_iter().map(|(image, count)| (self.name(image), count)).collect();
+            warnings.push(Warning::FewObservations { model: self.path(), images });
+        }
+        let observations = sfm::num_points_behind(self.model);
+        if observations as f64 > MIN_SHARE_BEHIND * self.model.num_observations() as f64 {
+            warnings.push(Warning::PointsBehind { model: self.path(), observations });
+        }
+        warnings
+    }
+}
+
+/// The images whose scale contradicts that of the others of their camera, the largest deviation
+/// first. What all images deviate by (the lens model, correlated points) is in their scatter.
+fn deviating(found: &[sfm::ImageScale]) -> Vec<&sfm::ImageScale> {
+    if found.len() < MIN_IMAGES_OF_CAMERA {
+        return Vec::new();
+    }
+    let logs = || found.iter().map(|image| image.scale.ln());
+    let centre = median(&mut logs().collect::<Vec<_>>()).unwrap_or(0.0);
+    let mut deviations: Vec<f64> = logs().map(|log| (log - centre).abs()).collect();
+    let scatter = SD_OF_MAD * median(&mut deviations).unwrap_or(0.0);
+    let deviation = |image: &&sfm::ImageScale| (image.scale.ln() - centre).abs();
+    let is_other = |image: &&sfm::ImageScale| {
+        deviation(image) > MIN_SCALE_SIGMAS * scatter.hypot(image.sd / image.scale)
+    };
+    let mut others: Vec<&sfm::ImageScale> = found.iter().filter(is_other).collect();
+    others.sort_by(|a, b| deviation(b).total_cmp(&deviation(a)));
+    others
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Scales of images that agree to a thousandth, but for the last one.
+    fn scales(last: f64, count: usize) -> Vec<sfm::ImageScale> {
+        let log = |k: usize| if k + 1 == count { last } else { 1e-3 * (k as f64 % 3.0 - 1.0) };
+        let scale = |k: usize| {
+            let (image, camera) = (ImageId::from_index(k), CameraId(0));
+            sfm::ImageScale { image, camera, scale: log(k).exp(), sd: 1e-3 }
+        };
+        (0..count).map(scale).collect()
+    }
+
+    /// The median is 0 and the median deviation a thousandth, so that one standard deviation is
+    /// the root of 1 + 1.4826², 1.788 thousandths.
+    #[test]
+    fn an_image_deviates_by_five_standard_deviations() {
+        let limit = MIN_SCALE_SIGMAS * 1e-3 * SD_OF_MAD.hypot(1.0);
+        assert!(deviating(&scales(0.95 * limit, 12)).is_empty());
+        for log in [1.05 * limit, -1.05 * limit] {
+            let found = scales(log, 12);
+            let images: Vec<ImageId> = deviating(&found).iter().map(|found| found.image).collect();
+            assert_eq!(images, [ImageId(11)]);
+        }
+    }
+
+    #[test]
+    fn few_images_of_a_camera_contradict_nothing() {
+        assert!(deviating(&scales(0.1, MIN_IMAGES_OF_CAMERA - 1)).is_empty());
+        assert_eq!(deviating(&scales(0.1, MIN_IMAGES_OF_CAMERA)).len(), 1);
+    }
+}

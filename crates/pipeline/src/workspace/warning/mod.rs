@@ -1,0 +1,126 @@
+//! What a user should know about a finished run, from the model itself.
+//!
+//! Each warning is data; its text is one sentence: what was found, and what to do. A model that
+//! earns none may still be wrong, but is not known to be.
+
+mod sentences;
+
+use serde::{Deserialize, Serialize};
+
+use crate::workspace::overlay_report::OverlayReport;
+
+/// A sign that something is wrong. Images are named; cameras have COLMAP's ids.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "kind", rename_all = "snake_case")]
+pub enum Warning {
+    /// Matches that stand still while the scene moves were left out.
+    StationaryMatches {
+        /// Number of matches.
+        matches: usize,
+        /// Number of pairs that have no others.
+        watermark_pairs: usize,
+        /// Where.
+        overlays: Vec<OverlayReport>,
+    },
+    /// The images give several models that share nothing.
+    SeveralModels {
+        /// Number of images of each.
+        images: Vec<usize>,
+    },
+    /// The focal length of a camera is far from the expected one.
+    FocalLength {
+        /// Folder of the model.
+        model: String,
+        /// The camera.
+        camera: u32,
+        /// Focal length, in pixels.
+        focal_px: f64,
+        /// The focal length of EXIF or the user, in pixels; none if it is not known.
+        expected_px: Option<f64>,
+        /// Larger side of the images, in pixels.
+        side_px: u32,
+    },
+    /// The distortion of a camera is not that of a lens.
+    Distortion {
+        /// Folder of the model.
+        model: String,
+        /// The camera.
+        camera: u32,
+        /// COLMAP's name of the camera model.
+        camera_model: String,
+        /// The parameters.
+        params: Vec<f64>,
+    },
+    /// The lens model leaves residuals that depend on the distance from the centre.
+    LensResiduals {
+        /// Folder of the model.
+        model: String,
+        /// The camera.
+        camera: u32,
+        /// COLMAP's name of the camera model.
+        camera_model: String,
+        /// Their root mean square, in pixels.
+        residual_px: f64,
+        /// A camera model that may fit.
+        better: String,
+    },
+    /// Images have another focal length than the camera that they share.
+    ImagesOfOtherFocalLength {
+        /// Folder of the model.
+        model: String,
+        /// The camera.
+        camera: u32,
+        /// The images, the largest deviation first.
+        images: Vec<ScaledImage>,
+    },
+    /// The relative poses of two cameras of a rig scatter.
+    RigScatter {
+        /// Folder of the model.
+        model: String,
+        /// Folders of the cameras.
+        cameras: [String; 2],
+        /// Root mean square distance from the mean, relative to the baseline.
+        relative: f64,
+    },
+    /// Images are far from where those before and after place them.
+    Jumps {
+        /// Folder of the model.
+        model: String,
+        /// The images.
+        images: Vec<String>,
+    },
+    /// Images with few observations.
+    FewObservations {
+        /// Folder of the model.
+        model: String,
+        /// The images and the number of their observations.
+        images: Vec<(String, usize)>,
+    },
+    /// Points behind the cameras that observe them.
+    PointsBehind {
+        /// Folder of the model.
+        model: String,
+        /// Number of observations.
+        observations: usize,
+    },
+}
+
+/// An image that contradicts its camera.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(expecting = "an object")]
+pub struct ScaledImage {
+    /// Its name.
+    pub name: String,
+    /// Its focal length over that of the camera. The points were fitted with that one, so that the
+    /// true ratio is farther from 1.
+    pub scale: f64,
+    /// Standard deviation of the ratio.
+    pub sd: f64,
+}
+
+impl Warning {
+    /// Whether the warning is on matches, which are known before a model is.
+    pub(crate) fn is_of_matches(&self) -> bool {
+        matches!(self, Self::StationaryMatches { .. })
+    }
+}

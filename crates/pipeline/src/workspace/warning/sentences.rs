@@ -1,0 +1,131 @@
+//! Warnings as sentences.
+
+use std::fmt;
+
+use super::{ScaledImage, Warning};
+use crate::workspace::overlay_report::OverlayReport;
+
+/// More images or regions are counted, not listed.
+const MAX_LISTED: usize = 4;
+
+impl fmt::Display for Warning {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::StationaryMatches { matches, watermark_pairs, overlays } => {
+                f.write_str(&stationary(*matches, *watermark_pairs, overlays))
+            }
+            Self::SeveralModels { images } => {
+                let sizes: Vec<String> = images.iter().map(usize::to_string).collect();
+                write!(
+                    f,
+                    "the images give {} models without a common point, of {} images: they show \
+                    several places, or photos between them are missing",
+                    images.len(),
+                    sizes.join(", ")
+                )
+            }
+            Self::FocalLength {
+                model, camera, focal_px, expected_px: Some(expected_px), ..
+            } => {
+                write!(
+                    f,
+                    "camera {camera} of {model} has a focal length of {focal_px:.0} px, and \
+                    {expected_px:.0} px were expected: check EXIF, or give --intrinsics"
+                )
+            }
+            Self::FocalLength { model, camera, focal_px, side_px, .. } => write!(
+                f,
+                "camera {camera} of {model} has a focal length of {focal_px:.0} px for images of \
+                {side_px} px, which is unlikely: give --focal-prior or --intrinsics"
+            ),
+            Self::Distortion { model, camera, camera_model, params } => {
+                let params: Vec<String> =
+                    params.iter().map(|value| format!("{value:.4}")).collect();
+                write!(
+                    f,
+                    "camera {camera} of {model} has a distortion that no lens has ({camera_model} \
+                    {}): give another --camera-model or --intrinsics",
+                    params.join(", ")
+                )
+            }
+            Self::LensResiduals { model, camera, camera_model, residual_px, better } => write!(
+                f,
+                "{camera_model} leaves residuals of {residual_px:.2} px that depend on the \
+                distance from the centre of camera {camera} of {model}: try --camera-model \
+                {better}"
+            ),
+            Self::ImagesOfOtherFocalLength { model, camera, images } => write!(
+                f,
+                "images do not have the focal length of their camera {camera} of {model}, as if \
+                they were cropped or zoomed: {}: give each camera a folder, or give --cameras \
+                image",
+                listed(&images.iter().map(scaled).collect::<Vec<_>>())
+            ),
+            Self::RigScatter { model, cameras: [one, other], relative } => write!(
+                f,
+                "the relative poses of {one} and {other} in {model} scatter by {:.0} % of the \
+                baseline: they are not on one rig, their times are wrong, or the model is",
+                100.0 * relative
+            ),
+            Self::Jumps { model, images } => write!(
+                f,
+                "poses in {model} jump by more than the usual step between images: {}: these are \
+                likely wrong, or their times are",
+                listed(images)
+            ),
+            Self::FewObservations { model, images } => {
+                let shown = |(name, count): &(String, usize)| format!("{name} ({count})");
+                let names: Vec<String> = images.iter().map(shown).collect();
+                write!(
+                    f,
+                    "images of {model} have few points, and uncertain poses: {}",
+                    listed(&names)
+                )
+            }
+            Self::PointsBehind { model, observations } => write!(
+                f,
+                "{observations} observations of {model} are of points behind their cameras: the \
+                model is likely wrong"
+            ),
+        }
+    }
+}
+
+fn stationary(matches: usize, watermark_pairs: usize, overlays: &[OverlayReport]) -> String {
+    let places: Vec<String> = overlays.iter().map(place).collect();
+    let others = match watermark_pairs {
+        0 => String::new(),
+        pairs => format!("; {pairs} pairs have no other matches"),
+    };
+    format!(
+        "{matches} matches stand still while the scene moves and were left out, as of a logo, a \
+        time stamp, a bonnet or dirt: {}{others}",
+        places.join("; ")
+    )
+}
+
+fn scaled(image: &ScaledImage) -> String {
+    let ScaledImage { name, scale, sd } = image;
+    format!("{name} ({scale:.3} \u{b1} {sd:.3})")
+}
+
+fn place(overlay: &OverlayReport) -> String {
+    let OverlayReport { camera, width, height, images, spots, regions } = overlay;
+    let of = match camera {
+        Some(camera) => format!("camera {camera}"),
+        None => format!("photos of {width} x {height} px"),
+    };
+    let regions: Vec<String> = regions
+        .iter()
+        .map(|[left, top, right, bottom]| format!("{left:.0},{top:.0} to {right:.0},{bottom:.0}"))
+        .collect();
+    format!("{spots} spots in {images} images of {of}, at {}", listed(&regions))
+}
+
+fn listed(all: &[String]) -> String {
+    let shown = all[..all.len().min(MAX_LISTED)].join(", ");
+    match all.len() - all.len().min(MAX_LISTED) {
+        0 => shown,
+        more => format!("{shown} and {more} more"),
+    }
+}
