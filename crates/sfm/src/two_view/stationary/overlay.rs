@@ -24,7 +24,7 @@ pub struct Stationary<'a> {
 /// What stands still in the images of a camera.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Overlay {
-    /// The group of images, as in [`StationarySearch::new`].
+    /// The group of images, as in [`super::StationarySearch::new`].
     pub group: usize,
     /// Number of images.
     pub images: usize,
