@@ -296,8 +296,9 @@ impl Reconstruction {
     /// Mean over the points of their mean reprojection errors, in pixels. COLMAP's mean
     /// reprojection error.
     pub fn mean_reprojection_error_px(&self) -> f64 {
+        // The sum of no numbers is -0.
         let sum: f64 = self.tracks.iter().flatten().map(|track| self.track_error_px(track)).sum();
-        sum / self.num_tracks().max(1) as f64
+        (sum + 0.0) / self.num_tracks().max(1) as f64
     }
 
     /// Applies a similarity to poses, points and frames.

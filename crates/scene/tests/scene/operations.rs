@@ -184,3 +184,9 @@ fn a_track_with_one_observation_is_deleted_and_deregistering_frees_keypoints() {
     assert_eq!(model.image(ImageId(2)).points()[1..3], [Some(long), None]);
     model.validate().unwrap();
 }
+
+#[test]
+fn the_error_of_no_point_is_zero_without_a_sign() {
+    let error = Reconstruction::default().mean_reprojection_error_px();
+    assert_eq!(format!("{error:.4}"), "0.0000");
+}
