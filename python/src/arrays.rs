@@ -3,7 +3,7 @@
 use numpy::ndarray::{Array1, Array2, Array3, Dimension, Ix2};
 use numpy::{
     AllowTypeChange, IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayLike, PyReadonlyArray,
-    PyUntypedArray, PyUntypedArrayMethods, get_array_module,
+    PyUntypedArray, PyUntypedArrayMethods,
 };
 use pyo3::prelude::*;
 use tiepoint_geometry::Rigid3;
@@ -42,7 +42,9 @@ pub(crate) fn invalid_array(
         Err(_) => value.get_type().to_string(),
     };
     // Lists have a shape, too, unless their rows differ in length.
-    let found_shape = get_array_module(value.py())
+    let found_shape = value
+        .py()
+        .import("numpy")
         .and_then(|numpy| numpy.call_method1("shape", (value,)))
         .map_or(String::new(), |shape| format!(" of shape {shape}"));
     invalid(format!(

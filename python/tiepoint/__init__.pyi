@@ -331,6 +331,7 @@ def export(
     to: Value,
     output: Value,
     *,
+    images: Optional[Value] = None,
     rigid: bool = False,
     detected_keypoints: bool = False,
     threads: Optional[int] = None,
