@@ -8,7 +8,7 @@
 //! change.
 
 use tiepoint_geometry::Loss;
-use tiepoint_geometry::numeric::median;
+use tiepoint_geometry::numeric::{MEDIAN_NORM_OF_TWO, median};
 use tiepoint_scene::Reconstruction;
 
 /// Standard deviation of the smallest keypoints, in pixels. It is the unit of weighted residuals.
@@ -26,11 +26,9 @@ pub fn keypoint_sigma_px(scale_px: f32) -> f64 {
 /// Noise scale of a model's keypoints (σ₀) as a multiple of [`keypoint_sigma_px`]: the median
 /// error, corrected for the degrees of freedom.
 pub fn relative_noise(model: &Reconstruction) -> f64 {
-    // Median norm of a vector of two standard normal variables.
-    const MEDIAN_OF_TWO: f64 = 1.177;
     let Errors { mut relative, freedom } = Errors::of(model);
     median(&mut relative)
-        .map_or(1.0, |median| median / MEDIAN_OF_TWO / freedom.sqrt())
+        .map_or(1.0, |median| median / MEDIAN_NORM_OF_TWO / freedom.sqrt())
         .max(f64::MIN_POSITIVE)
 }
 

@@ -1,5 +1,8 @@
 //! Numerical functions that several crates share: median and golden-section search.
 
+/// Median norm of a vector of two standard normal variables: the root of 2 ln 2.
+pub const MEDIAN_NORM_OF_TWO: f64 = 1.177;
+
 /// The upper median of the values, or `None` if there are none. Sorts the values.
 ///
 /// ```

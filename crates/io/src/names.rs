@@ -8,8 +8,8 @@ use std::collections::BTreeMap;
 
 use unicode_normalization::UnicodeNormalization;
 
-/// Equal for names that look equal.
-pub fn look(name: &str) -> String {
+/// The form that names which look equal have in common.
+pub fn normalized(name: &str) -> String {
     let slashes = name.replace('\\', "/");
     let bare = slashes.trim_start_matches("./");
     bare.nfc().map(|c| c.to_ascii_lowercase()).collect()
@@ -19,23 +19,23 @@ pub fn look(name: &str) -> String {
 #[derive(Clone, Debug)]
 pub struct ByName<T> {
     values: BTreeMap<String, T>,
-    /// The names of each look.
-    looks: BTreeMap<String, Vec<String>>,
+    /// The names of each normalised form.
+    by_form: BTreeMap<String, Vec<String>>,
 }
 
 impl<T> ByName<T> {
     /// The values of these names.
     pub fn new(values: BTreeMap<String, T>) -> Self {
-        let mut looks: BTreeMap<String, Vec<String>> = BTreeMap::new();
+        let mut by_form: BTreeMap<String, Vec<String>> = BTreeMap::new();
         for name in values.keys() {
-            looks.entry(look(name)).or_default().push(name.clone());
+            by_form.entry(normalized(name)).or_default().push(name.clone());
         }
-        Self { values, looks }
+        Self { values, by_form }
     }
 
-    /// The value of a name, or else of the only one that looks equal.
+    /// The value of a name, or else of the only one that by_form equal.
     pub fn get(&self, name: &str) -> Option<&T> {
-        self.values.get(name).or_else(|| match self.looks.get(&look(name))?.as_slice() {
+        self.values.get(name).or_else(|| match self.by_form.get(&normalized(name))?.as_slice() {
             [only] => self.values.get(only),
             _ => None,
         })

@@ -6,12 +6,10 @@ use std::path::{Path, PathBuf};
 
 use crate::Error;
 use crate::disk::{self, FileId};
+use crate::output_folder::STAGED;
 
 /// Marks are searched for in the first bytes of a file.
 const HEAD_BYTES: u64 = 4096;
-
-/// Suffix of the name of a file that is compared with an existing one.
-const NEW_SUFFIX: &str = ".tiepoint-new";
 
 /// Bytes by which a program knows a file as its own.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -44,7 +42,7 @@ pub fn write_file<'a, E: From<Error>>(
         return write(path);
     }
     let name = path.file_name().unwrap_or_default().to_string_lossy();
-    let new = path.with_file_name(format!(".{name}{NEW_SUFFIX}"));
+    let new = path.with_file_name(format!(".{name}{STAGED}"));
     let same = write(&new).and_then(|()| Ok(is_same(&new, path)?));
     disk::remove_file(&new).map_err(Error::output(&new))?;
     if same? { Ok(()) } else { Err(Error::ForeignFile { path: path.to_owned() }.into()) }

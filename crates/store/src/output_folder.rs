@@ -26,8 +26,8 @@ use crate::disk::{self, FileId, Folder};
 use crate::manifest::{MANIFEST, Manifest, is_inside};
 use crate::{AtomicFile, Error};
 
-/// Folder of staged files.
-const STAGED: &str = ".tiepoint-new";
+/// Folder of staged files; also the suffix of the name of a single file before it is compared.
+pub(crate) const STAGED: &str = ".tiepoint-new";
 const COMMITTED: &str = ".tiepoint-commit";
 const REPLACED: &str = ".tiepoint-old";
 /// Size of read buffers.

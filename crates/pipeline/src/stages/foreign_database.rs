@@ -11,16 +11,16 @@ use std::path::{Path, PathBuf};
 use tiepoint_input::fingerprint::hash_files;
 use tiepoint_input::parallel::for_each_in_order;
 use tiepoint_io::database::{Database, read_stage_rows};
-use tiepoint_sfm::geometry::Rng;
 use tiepoint_sfm::geometry::nalgebra::Matrix3;
 use tiepoint_sfm::scene::{
     Camera, CameraId, Image, ImageId, ImagePair, Match, TwoView, TwoViewKind,
 };
-use tiepoint_sfm::{ImageObservations, VerifyOptions, verify_pair};
+use tiepoint_sfm::{ImageObservations, VerifyOptions};
 use tiepoint_store::{Error as StoreError, escaped};
 
 use crate::stages::option_keys;
 use crate::stages::stationary::Removal;
+use crate::stages::verification::{of_keypoints, verify};
 use crate::workspace::keypoints::keypoint;
 use crate::workspace::option_names;
 use crate::workspace::records::Recipe;
@@ -281,12 +281,8 @@ impl ImportedPairs {
             keypoints: &image(id).keypoints,
             camera: &self.cameras[image(id).camera.index()],
         };
-        let has = |id: ImageId, keypoint: u32| (keypoint as usize) < image(id).keypoints.len();
-        let matches: Vec<Match> =
-            matches.iter().filter(|m| has(pair.a, m.a) && has(pair.b, m.b)).copied().collect();
-        let key = [u64::from(pair.a.0), u64::from(pair.b.0)];
-        let seed = Rng::stream(seed, &key).next_u64();
-        verify_pair(view(pair.a), view(pair.b), &matches, options, seed)
+        let matches = of_keypoints(pair, matches.to_vec(), |id| image(id).keypoints.len());
+        verify(pair, view, &matches, options, seed)
     }
 }
 

@@ -13,13 +13,14 @@ use tiepoint_io::features::Features;
 use tiepoint_sfm::geometry::Rng;
 use tiepoint_sfm::matching::{self, PairSelection};
 use tiepoint_sfm::scene::{Camera, Image, ImageId, ImagePair, Match, TwoView};
-use tiepoint_sfm::{ImageObservations, VerifyOptions, verify_pair};
+use tiepoint_sfm::{ImageObservations, VerifyOptions};
 
 use crate::stages::foreign_database::{has_imported_pairs, require_sift, verify_imported_pairs};
 use crate::stages::loaded_features::LoadedFeatures;
 use crate::stages::option_keys;
 use crate::stages::pair_choice::{self, IMAGES_READ_AT_ONCE, PairChoice};
 use crate::stages::stationary::Removal;
+use crate::stages::verification::verify;
 use crate::workspace::option_names::PAIRS;
 use crate::workspace::records::Recipe;
 use crate::workspace::report::MatchReport;
@@ -285,8 +286,7 @@ fn match_pair(
         keypoints: &loaded[&image].keypoints,
         camera: &cameras[images[image.index()].camera.index()],
     };
-    let seed = Rng::stream(options.seed, &[u64::from(pair.a.0), u64::from(pair.b.0)]).next_u64();
-    let two_view = verify_pair(view(pair.a), view(pair.b), &matches, &options.verify, seed);
+    let two_view = verify(pair, view, &matches, &options.verify, options.seed);
     (matches, two_view)
 }
 

@@ -5,15 +5,13 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use rayon::prelude::*;
 use tiepoint_io::database::Database;
-use tiepoint_sfm::geometry::Rng;
 use tiepoint_sfm::scene::{
     Camera, CameraId, ImageId, ImagePair, Keypoint, Match, Reconstruction, TwoView, TwoViewKind,
 };
-use tiepoint_sfm::{
-    Candidates, ImageObservations, Stationary, StationarySearch, VerifyOptions, verify_pair,
-};
+use tiepoint_sfm::{Candidates, ImageObservations, Stationary, StationarySearch, VerifyOptions};
 
 use crate::Error;
+use crate::stages::verification::{of_keypoints, verify};
 use crate::workspace::database_scene::read_scene;
 use crate::workspace::overlay_report::OverlayReport;
 use crate::workspace::report::MatchReport;
@@ -133,9 +131,7 @@ fn matches_of(
 ) -> Result<Vec<Match>, Error> {
     let matches = database.read_matches_of(pair)?;
     let matches = if matches.is_empty() { database.read_inliers_of(pair)? } else { matches };
-    let has =
-        |image: ImageId, keypoint: u32| (keypoint as usize) < scene.image(image).keypoints.len();
-    Ok(matches.into_iter().filter(|m| has(pair.a, m.a) && has(pair.b, m.b)).collect())
+    Ok(of_keypoints(pair, matches, |image| scene.image(image).keypoints.len()))
 }
 
 /// What a pair is verified with.
@@ -151,9 +147,7 @@ impl Verification<'_> {
             keypoints: &self.scene.image(image).keypoints,
             camera: self.scene.camera_of(image),
         };
-        let key = [u64::from(pair.a.0), u64::from(pair.b.0)];
-        let seed = Rng::stream(self.seed, &key).next_u64();
-        verify_pair(view(pair.a), view(pair.b), matches, self.options, seed)
+        verify(pair, view, matches, self.options, self.seed)
     }
 
     /// The pairs of candidates whose other matches have a geometry that moves.

@@ -9,7 +9,7 @@
 use rayon::prelude::*;
 use tiepoint_adjust::keypoint_sigma_px;
 use tiepoint_geometry::nalgebra::{SMatrix, SVector, Vector2, Vector3};
-use tiepoint_geometry::numeric::median;
+use tiepoint_geometry::numeric::{MEDIAN_NORM_OF_TWO, median};
 use tiepoint_geometry::{Intrinsics, Loss, Rigid3};
 use tiepoint_scene::{CameraId, ImageId, Reconstruction};
 
@@ -25,8 +25,6 @@ const MIN_STEP_SIGMAS: f64 = 1e-3;
 /// Scale of the Cauchy loss in standard deviations: 95 % efficiency on Gaussian noise (Holland and
 /// Welsch 1977).
 const CAUCHY_SIGMAS: f64 = 2.385;
-/// Median norm of a vector of two standard normal variables.
-const MEDIAN_OF_TWO: f64 = 1.177;
 
 /// The scale of an image relative to its camera's focal length.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -97,7 +95,7 @@ fn fit(
             .iter()
             .filter_map(|o| Some(residual(&pose, log_scale, o)?.norm()))
             .collect();
-        let noise = (median(&mut errors)? / MEDIAN_OF_TWO).max(f64::MIN_POSITIVE);
+        let noise = (median(&mut errors)? / MEDIAN_NORM_OF_TWO).max(f64::MIN_POSITIVE);
         let loss = Loss::Cauchy(CAUCHY_SIGMAS * noise);
         let (mut hessian, mut gradient) = (Hessian::zeros(), SVector::zeros());
         for o in observations {

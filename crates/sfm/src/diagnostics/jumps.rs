@@ -7,10 +7,10 @@ use tiepoint_scene::{CameraId, ImageId, Reconstruction};
 
 use crate::timeline::{posed_in_time, usual_speed};
 
-/// Smallest distance from the place between the neighbours, relative to the usual step (the
-/// 90 % quantile, so that long stops do not shorten it). A vehicle
-/// that stops from one image to the next is half a step off. With half, such stops are jumps; with
-/// double, a pose that lies one step off is none.
+/// Smallest distance from the place between the neighbours, relative to the usual step (the 90 %
+/// quantile, so that long stops do not shorten it). A vehicle that stops from one image to the next
+/// is half a step off. With half, such stops are jumps; with double, a pose that lies one step off
+/// is none.
 const MIN_STEPS: f64 = 1.0;
 /// Images further apart in time than so many usual intervals are no neighbours.
 const MAX_INTERVALS: f64 = 3.0;
