@@ -12,6 +12,7 @@ use tiepoint_pipeline::evaluation::{Truth, evaluate_poses};
 use tiepoint_pipeline::input::{Calibration, Photos};
 use tiepoint_pipeline::sfm::geometry::{CameraModelKind, Intrinsics};
 use tiepoint_pipeline::stages::{FeatureOptions, extract_features};
+use tiepoint_pipeline::workspace::LocatedModel;
 use tiepoint_pipeline::{Error, Event, Options, Report, Stage, Workspace, reconstruct};
 
 use crate::skipped;
@@ -102,7 +103,8 @@ fn fountain_is_reconstructed_with_the_same_bytes_on_one_thread_and_two() {
     assert_eq!((report.models.len(), report.models[0].registered), (1, 11));
     let truth: Truth =
         format!("strecha:{}", data.join("fountain-P11/cameras").display()).parse().unwrap();
-    let evaluation = evaluate_poses(&dir.path().join("two"), &truth, None).unwrap();
+    let model = LocatedModel::open(&dir.path().join("two")).unwrap();
+    let evaluation = evaluate_poses(&model, &truth, None).unwrap();
     assert_eq!((evaluation.images, evaluation.registered), (11, 11));
     let mean_m = evaluation.centre_error.mean;
     assert!(mean_m < MAX_MEAN_CENTRE_ERROR_M, "mean centre error {mean_m} m");

@@ -6,6 +6,7 @@ use libfuzzer_sys::fuzz_target;
 use tiepoint_fuzz::{files, folder, write, write_model};
 use tiepoint_pipeline::eval::geometry::Sim3;
 use tiepoint_pipeline::eval::{Alignment, find_alignment};
+use tiepoint_pipeline::workspace::LocatedModel;
 use tiepoint_pipeline::evaluation::{Truth, TruthFormat, evaluate_cloud, evaluate_poses, read_cloud};
 
 /// A time of its own for each image.
@@ -53,5 +54,6 @@ fuzz_target!(|data: &[u8]| {
             return;
         }
     };
+    let model = LocatedModel::open(&model).expect("the model is right");
     let _ = evaluate_poses(&model, &Truth { format, path: truth }, Some(""));
 });

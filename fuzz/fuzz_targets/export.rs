@@ -4,6 +4,7 @@
 use libfuzzer_sys::fuzz_target;
 
 use tiepoint_fuzz::{files, folder};
+use tiepoint_pipeline::workspace::LocatedModel;
 use tiepoint_pipeline::models::{ExportFormat, ExportSource, export, export_rigid};
 
 fuzz_target!(|data: &[u8]| {
@@ -16,12 +17,12 @@ fuzz_target!(|data: &[u8]| {
         "rigs.txt",
         "frames.txt",
         "../../timestamps.csv",
-        "../../rig.json",
     ];
     std::fs::create_dir_all(&model).expect("memory is writable");
     files(&model, &names, data);
     let workspace = dir.join("ws");
-    let source = ExportSource { model: &workspace, images: None };
+    let Ok(located) = LocatedModel::open(&workspace) else { return };
+    let source = ExportSource { model: &located, images: None };
     for (format, to) in [
         (ExportFormat::Colmap, "binary"),
         (ExportFormat::ColmapText, "text"),

@@ -4,6 +4,7 @@
 use libfuzzer_sys::fuzz_target;
 
 use tiepoint_fuzz::{files, folder};
+use tiepoint_pipeline::workspace::LocatedModel;
 use tiepoint_report::view;
 
 fuzz_target!(|data: &[u8]| {
@@ -21,7 +22,9 @@ fuzz_target!(|data: &[u8]| {
         "../../report.json",
     ];
     files(&model, &names, data);
-    if let Ok(page) = view(&dir.join("ws")) {
+    let ws = dir.join("ws");
+    let Ok(model) = LocatedModel::open(&ws) else { return };
+    if let Ok(page) = view(&model, &ws) {
         let text = std::fs::read_to_string(page).expect("it was written");
         // The data stand in a script: a name must not end it.
         assert_eq!(text.matches("</script").count(), tiepoint_fuzz::SCRIPTS);

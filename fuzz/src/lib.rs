@@ -6,6 +6,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use tempfile::TempDir;
+use tiepoint_input::fingerprint::hash_files;
 
 /// Linux keeps this folder in memory; elsewhere the usual one will do.
 const IN_MEMORY: &str = "/dev/shm";
@@ -88,13 +89,29 @@ pub fn write_model(dir: &Path) {
     MODEL.iter().for_each(|(name, text)| write(&dir.join(name), text.as_bytes()));
 }
 
-/// `rig.json` of that model.
-pub const RIG: &str = r#"{"format": 1, "reference": "left", "cameras": [
+/// The `tiepoint.json` of that model, behind the hashes of the files.
+pub const SIDECAR: &str = r#""cameras": [
+  {"id": 1, "is_calibrated": true, "has_focal_prior": true, "readout_s": 0.02},
+  {"id": 2, "is_calibrated": false, "has_focal_prior": false, "readout_s": 0.03,
+   "readout_sd_s": 0.001, "expected_params": [500.0, 320.0, 240.0, 0.0]}],
+  "portrait_landscape_pairs": [[1, 2]], "images": [
+  {"id": 1, "stream": "left", "time_s": 0.0}, {"id": 2, "stream": "right", "time_s": 0.0},
+  {"id": 3, "stream": "left", "time_s": 1.0}, {"id": 4, "stream": "right", "time_s": null}],
+  "held_out_points": [2], "rig": {"reference": "left", "cameras": [
   {"name": "right", "rotation_wxyz": [1.0, 0.0, 0.0, 0.0],
   "translation": [-0.5, 0.0, 0.0], "centre_in_rig": [0.5, 0.0, 0.0], "constraint": "rigid",
   "clock": {"state": "synchronised", "offset_s": 0.0, "offset_sd_s": null, "drift_ppm": 0.0,
    "drift_sd_ppm": null, "pivot_s": 0.5},
-  "covariance": null, "rotation_sd_deg": null, "translation_sd": null}]}"#;
+  "covariance": null, "rotation_sd_deg": null, "translation_sd": null}]}}"#;
+
+/// Writes these bytes as the `tiepoint.json` of that model in a folder, behind the right hashes.
+pub fn sidecar(dir: &Path, data: &[u8]) {
+    let hash = |name: &str| hash_files(&[dir.join(name)]).expect("the file was written");
+    let files = MODEL.map(|(name, _)| format!("\"{name}\": \"{}\"", hash(name)));
+    let mut text = format!("{{\"format\": 1, \"files\": {{{}}}, ", files.join(", ")).into_bytes();
+    text.extend(data);
+    write(&dir.join("tiepoint.json"), &text);
+}
 
 /// Times of the images of that model.
 pub const TIMES: &str =

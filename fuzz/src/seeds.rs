@@ -3,7 +3,7 @@
 
 use std::path::Path;
 
-use tiepoint_fuzz::{DIVIDER, RIG, TIMES, folder, write, write_model};
+use tiepoint_fuzz::{DIVIDER, SIDECAR, TIMES, folder, write, write_model};
 use tiepoint_io::colmap::{self, Format};
 use tiepoint_io::database::{Database, StageRow};
 use tiepoint_io::features::{Features, Keypoint};
@@ -94,9 +94,8 @@ fn main() -> Outcome {
     colmap::write_model(&dir.join("binary"), &model, Format::Binary)?;
     let names = ["cameras.bin", "images.bin", "points3D.bin", "rigs.bin", "frames.bin"];
     put("colmap_binary", "model", &joined(&dir.join("binary"), &names));
-    write(&dir.join("ws/rig.json"), RIG.as_bytes());
     write(&dir.join("ws/timestamps.csv"), TIMES.as_bytes());
-    put("rig_json", "rig", RIG.as_bytes());
+    put("sidecar", "sidecar", SIDECAR.as_bytes());
     put("times", "times", TIMES.as_bytes());
     let with = |more: &[&str]| {
         let mut all = text.clone();
@@ -106,8 +105,8 @@ fn main() -> Outcome {
         }
         all
     };
-    put("export", "workspace", &with(&[TIMES, RIG]));
-    put("view", "workspace", &with(&[TIMES, RIG, "{}"]));
+    put("export", "workspace", &with(&[TIMES]));
+    put("view", "workspace", &with(&[TIMES, "{}", "{}"]));
     put("adjust", "model", &[&[1], &text[..]].concat());
 
     let poses: Vec<_> = model.registered().map(|(.., pose)| *pose).collect();

@@ -1,17 +1,18 @@
 //! Models as arrays.
 
+use std::ffi::CString;
 use std::ops::ControlFlow;
 use std::path::PathBuf;
 
 use numpy::ndarray::{Array4, Ix2, Ix3};
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3, PyArray4};
-use pyo3::exceptions::PyIndexError;
+use pyo3::exceptions::{PyIndexError, PyUserWarning};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use tiepoint_geometry::nalgebra::{Matrix3, Matrix4, UnitQuaternion, Vector3};
 use tiepoint_geometry::{Rigid3, Sim3};
-use tiepoint_io::colmap::{Format, read_model};
-use tiepoint_pipeline::models::rolling_shutters;
+use tiepoint_io::colmap::Format;
+use tiepoint_pipeline::workspace::LocatedModel;
 use tiepoint_scene::{CameraId, Image, ImageId, PointId};
 use tiepoint_sfm::{AdjustOptions, RefineIntrinsics, RollingShutter, Scope, adjust, row_poses};
 
@@ -32,22 +33,17 @@ pub(crate) struct Reconstruction {
     /// The images with a pose.
     images: Vec<ImageId>,
     points: Vec<PointId>,
-    /// The readout times; an error says why they cannot be read.
-    shutters: Result<Vec<RollingShutter>, String>,
+    shutters: Vec<RollingShutter>,
 }
 
 impl Reconstruction {
     fn new(
         model: tiepoint_scene::Reconstruction,
-        shutters: Result<Vec<RollingShutter>, String>,
+        shutters: Vec<RollingShutter>,
     ) -> Self {
         let images = model.registered().map(|(id, ..)| id).collect();
         let points = model.tracks().map(|(id, _)| id).collect();
         Self { model, images, points, shutters }
-    }
-
-    fn shutters(&self) -> PyResult<&[RollingShutter]> {
-        self.shutters.as_deref().map_err(failed)
     }
 
     fn image(&self, index: usize) -> PyResult<&Image> {
@@ -67,13 +63,12 @@ impl Reconstruction {
     /// Reads the model of a workspace or a folder with a COLMAP model, binary or text.
     #[staticmethod]
     fn read(python: Python<'_>, path: PathBuf) -> PyResult<Self> {
-        let folder = tiepoint_pipeline::workspace::model_folder(&path).map_err(failed)?;
-        let read = || {
-            let mut model = read_model(&folder)?;
-            let shutters = rolling_shutters(&folder, &mut model);
-            Ok::<_, tiepoint_io::Error>(Self::new(model, shutters.map_err(|e| e.to_string())))
-        };
-        python.detach(read).map_err(failed)
+        let located = python.detach(|| LocatedModel::open(&path)).map_err(failed)?;
+        if let Some(note) = located.note() {
+            let message = CString::new(note.replace('\0', "")).expect("it has no NUL");
+            PyErr::warn(python, &python.get_type::<PyUserWarning>(), &message, 1)?;
+        }
+        Ok(Self::new(located.reconstruction, located.shutters))
     }
 
     /// Writes the model into a folder, as COLMAP's binary files or its text files. Ids stay those
@@ -281,7 +276,7 @@ impl Reconstruction {
     #[getter]
     fn readout_times<'py>(&self, python: Python<'py>) -> PyResult<Bound<'py, PyArray1<f64>>> {
         let mut times = vec![0.0; self.model.num_cameras()];
-        for shutter in self.shutters()? {
+        for shutter in &self.shutters {
             times[shutter.camera.index()] = shutter.readout_s;
         }
         Ok(vector(python, times))
@@ -291,7 +286,7 @@ impl Reconstruction {
     /// image, of shape (N, 2, 3, 4). An image whose motion is not known has its one pose twice.
     #[getter]
     fn row_poses<'py>(&self, python: Python<'py>) -> PyResult<Bound<'py, PyArray4<f64>>> {
-        let motions = row_poses(&self.model, self.shutters()?);
+        let motions = row_poses(&self.model, &self.shutters);
         let mut all = Array4::zeros((self.images.len(), 2, 3, 4));
         for (index, (id, _, middle)) in self.model.registered().enumerate() {
             let rows = motions.get(&id).map_or([*middle; 2], |rows| {
@@ -312,7 +307,7 @@ impl Reconstruction {
     /// shape (N, 6); NaN where the motion is not known.
     #[getter]
     fn row_velocities<'py>(&self, python: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
-        let motions = row_poses(&self.model, self.shutters()?);
+        let motions = row_poses(&self.model, &self.shutters);
         let of_image = |id: &ImageId| {
             motions.get(id).map_or([f64::NAN; 6], |rows| {
                 let (v, w) = (rows.velocity_in_world, rows.angular_velocity_rad_s);

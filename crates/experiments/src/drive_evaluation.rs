@@ -10,9 +10,8 @@ use tiepoint_pipeline::evaluation::{
     PoseEvaluation, RegisteredCloud, RigEvaluation, SurfaceEvaluation, Truth, TruthFormat,
     evaluate_poses, evaluate_rig, evaluate_surface, register_cloud,
 };
-use tiepoint_pipeline::io::colmap::read_model;
 use tiepoint_pipeline::sfm::scene::{Image, ImageId, Reconstruction};
-use tiepoint_pipeline::workspace::model_folder;
+use tiepoint_pipeline::workspace::LocatedModel;
 use tiepoint_report::CameraError;
 use tiepoint_synth::Drive;
 
@@ -48,8 +47,9 @@ pub(crate) fn evaluate_drive(
     is_compared: impl Fn(&Vector3<f64>) -> bool,
 ) -> Result<DriveEvaluation, Error> {
     let truth = Truth { format: TruthFormat::Colmap, path: truth.to_owned() };
-    let poses = evaluate_poses(workspace, &truth, None)?;
-    let model = read_drive_model(workspace, drive)?;
+    let located = LocatedModel::open(workspace)?;
+    let poses = evaluate_poses(&located, &truth, None)?;
+    let model = with_stamps(located.reconstruction, drive);
     let world_from_model = poses.truth_from_model;
     let surface = evaluate_surface(&model, &world_from_model, |image, pixel| {
         true_observation(drive, image, pixel)
@@ -80,13 +80,17 @@ pub(crate) fn evaluate_drive(
 ///
 /// The model cannot be read.
 pub(crate) fn read_drive_model(workspace: &Path, drive: &Drive) -> Result<Reconstruction, Error> {
-    let mut model = read_model(&model_folder(workspace)?)?;
+    Ok(with_stamps(LocatedModel::open(workspace)?.reconstruction, drive))
+}
+
+/// A model with the time stamps of its images on their cameras' clocks.
+fn with_stamps(mut model: Reconstruction, drive: &Drive) -> Reconstruction {
     let times: Vec<(ImageId, f64)> = model
         .images()
         .filter_map(|(id, image)| Some((id, drive.find(&image.name)?.1.stamp_s)))
         .collect();
     times.into_iter().for_each(|(id, stamp_s)| model.set_time(id, Some(stamp_s)));
-    Ok(model)
+    model
 }
 
 /// Estimated and true centre of each registered image, in the order of the images.

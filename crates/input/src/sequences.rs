@@ -16,7 +16,7 @@ const TIME_RESOLUTION_S: f64 = 1.0;
 /// Fewest images of a sequence: two intervals.
 const MIN_IMAGES: usize = 3;
 
-/// The images in groups: those of a folder whose names differ in the last number only. A group has
+/// The images in groups: those of a stream whose names differ in the last number only. A group has
 /// an order if its images have times at regular intervals, or no times and regular numbers.
 ///
 /// # Errors
@@ -28,7 +28,7 @@ pub fn camera_images(
 ) -> Result<Vec<CameraImages>, Error> {
     let mut groups: BTreeMap<(&str, &str), Vec<u32>> = BTreeMap::new();
     for (id, image) in (0..).zip(images) {
-        groups.entry((image.folder(), prefix(&image.name))).or_default().push(id);
+        groups.entry((&*image.stream, prefix(&image.name))).or_default().push(id);
     }
     let name = |id: u32| &images[id as usize].name;
     let group = |ids: Vec<u32>| {

@@ -128,13 +128,13 @@ pub enum Error {
         /// The missing stage.
         stage: Stage,
     },
-    /// The model has no `rig.json`: mapping estimated no rig extrinsics.
+    /// The model has no rig: mapping estimated no rig extrinsics.
     #[error(
-        "{path} does not exist, because this model was mapped without rig extrinsics: map with \
-        --rig soft, rigid or auto"
+        "{path} has no rig, because it was mapped without rig extrinsics: map with --rig soft, \
+        rigid or auto"
     )]
     NoRig {
-        /// The file.
+        /// The folder of the model.
         path: PathBuf,
     },
     /// No two cameras have poses at common frames, so that rig extrinsics are undetermined.

@@ -16,9 +16,8 @@ use tiepoint_pipeline::eval::geometry::nalgebra::{Vector2, Vector3};
 use tiepoint_pipeline::eval::geometry::numeric::median;
 use tiepoint_pipeline::eval::geometry::{Rigid3, Sim3, so3};
 use tiepoint_pipeline::evaluation::evaluate_rig;
-use tiepoint_pipeline::io::colmap::read_model;
 use tiepoint_pipeline::sfm::scene::{CameraId, ImageId, Reconstruction};
-use tiepoint_pipeline::workspace::{REPORT, RIG, model_folder, read_times};
+use tiepoint_pipeline::workspace::{LocatedModel, REPORT, RIG};
 use tiepoint_pipeline::{Error, Report};
 
 use crate::coding::{base64, evenly};
@@ -274,18 +273,16 @@ fn describe_section<'a>(
     Section { heading, note, tables, models: models.collect() }
 }
 
-/// Writes `report.html` for the largest model of a workspace, with the texts of `report.json` and
-/// `rig.json` and small copies of the photos. `path` may also be a folder with a COLMAP model; its
-/// photos are unknown. Returns the path of the page.
+/// Writes `report.html` for a model into a folder. If that is the workspace of the model, the page
+/// has the texts of `report.json` and `rig.json` and small copies of the photos. Returns the path
+/// of the page.
 ///
 /// # Errors
 ///
-/// The model or a file beside it cannot be read, or the page cannot be written.
-pub fn view(path: &Path) -> Result<PathBuf, Error> {
+/// A file beside the model cannot be read, or the page cannot be written.
+pub fn view(located: &LocatedModel, path: &Path) -> Result<PathBuf, Error> {
     refuse_foreign_page(&path.join(PAGE))?;
-    let folder = model_folder(path)?;
-    let mut model = read_model(&folder)?;
-    read_times(&mut model, &path.join("timestamps.csv"))?;
+    let model = &located.reconstruction;
     let report = path.join("report.json");
     let report = if report.is_file() { Some(Report::read(&report)?) } else { None };
     let mut files = Vec::new();
@@ -297,20 +294,20 @@ pub fn view(path: &Path) -> Result<PathBuf, Error> {
             files.push((name, text));
         }
     }
-    let cloud = report.as_ref().and_then(|report| report.dense_cloud(path));
-    let dense = cloud.map(|cloud| DenseView::read(&cloud, path, &model)).transpose()?;
+    let cloud = located.workspace().zip(located.dense_cloud());
+    let dense = cloud.map(|(root, cloud)| DenseView::read(&cloud, root, model)).transpose()?;
     let name = path.file_name().map_or_else(|| "model".into(), |name| name.to_string_lossy());
     let report_model = ReportModel {
         name: &name,
-        model: &model,
+        model,
         world_from_model: None,
         report: report.as_ref(),
         camera_errors: &[],
         cloud_errors: &[],
         dense: dense.as_ref(),
-        photos: Some(&Thumbnails::of_workspace(path, &model, Thumbnails::MAX_BYTES)),
+        photos: Some(&Thumbnails::of_workspace(path, model, Thumbnails::MAX_BYTES)),
     };
-    let table = Table::of_columns(&[name.to_string()], summary(&model, report.as_ref()));
+    let table = Table::of_columns(&[name.to_string()], summary(model, report.as_ref()));
     let warnings = report.iter().flat_map(|report| &report.warnings);
     let rows: Vec<TableRow> =
         warnings.map(|warning| ("warning".to_owned(), vec![warning.to_string()])).collect();

@@ -20,6 +20,10 @@ pub struct Image {
     pub name: String,
     /// The camera.
     pub camera: CameraId,
+    /// The body that took it, such as `left`: images of one stream were taken one after another,
+    /// and images of two may belong to a frame of a rig. A stream with several settings (zoom,
+    /// resolution) has several cameras. [`Image::new`] takes the folder in the name.
+    pub stream: Arc<str>,
     /// Time of the middle row's mid-exposure in seconds on this camera's own clock, if known.
     pub time_s: Option<f64>,
     /// Detected keypoints. Copies of a model share them.
@@ -31,22 +35,20 @@ pub struct Image {
 }
 
 impl Image {
-    /// An image without a pose.
+    /// An image without a pose. Its stream is the folder in its name, as in folders of photos.
     pub fn new(name: impl Into<String>, camera: CameraId, keypoints: Vec<Keypoint>) -> Self {
         let points = vec![None; keypoints.len()];
+        let name = name.into();
+        let stream = name.rsplit_once('/').map_or("", |(folder, _)| folder).into();
         Self {
-            name: name.into(),
+            name,
             camera,
+            stream,
             time_s: None,
             keypoints: keypoints.into(),
             cam_from_world: None,
             points,
         }
-    }
-
-    /// The folder in its name, without a final `/`; empty if there is none.
-    pub fn folder(&self) -> &str {
-        self.name.rsplit_once('/').map_or("", |(folder, _)| folder)
     }
 
     /// Pose, if registered.

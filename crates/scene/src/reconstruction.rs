@@ -138,6 +138,11 @@ impl Reconstruction {
         self.images[image.index()].time_s = time_s;
     }
 
+    /// Sets the stream of an image.
+    pub fn set_stream(&mut self, image: ImageId, stream: Arc<str>) {
+        self.images[image.index()].stream = stream;
+    }
+
     /// Removes the pose of an image and its observations. Tracks with fewer than two remaining
     /// observations are deleted. An image of a frame leaves it.
     pub fn deregister(&mut self, image: ImageId) {

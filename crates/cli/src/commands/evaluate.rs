@@ -6,12 +6,14 @@ use tiepoint_pipeline::eval::{Alignment, find_alignment};
 use tiepoint_pipeline::evaluation::{evaluate_cloud, evaluate_poses, read_cloud};
 
 use crate::args::{EvaluateCloud, EvaluatePoses};
+use crate::commands::open_model;
 use crate::failure::Failure;
 use crate::output::Output;
 use crate::summary;
 
 pub(crate) fn poses(args: &EvaluatePoses, output: &Output) -> Result<(), Failure> {
-    let evaluation = evaluate_poses(&args.model, &args.truth, args.images.as_deref())?;
+    let model = open_model(&args.model, output)?;
+    let evaluation = evaluate_poses(&model, &args.truth, args.images.as_deref())?;
     output.result(&evaluation, || summary::poses(&evaluation))
 }
 
@@ -19,7 +21,8 @@ pub(crate) fn cloud(args: &EvaluateCloud, output: &Output) -> Result<(), Failure
     let (cloud, reference) = (read_cloud(&args.cloud)?, read_cloud(&args.reference)?);
     let (start, alignment) = match (&args.truth, args.align) {
         (Some(truth), _) => {
-            (Some(evaluate_poses(&args.cloud, truth, None)?.truth_from_model), Alignment::Rigid)
+            let model = open_model(&args.cloud, output)?;
+            (Some(evaluate_poses(&model, truth, None)?.truth_from_model), Alignment::Rigid)
         }
         (None, Alignment::Similarity) => {
             (find_alignment(&cloud, &reference), Alignment::Similarity)

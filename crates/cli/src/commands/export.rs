@@ -5,6 +5,7 @@ use tiepoint_pipeline::models::{
 };
 
 use crate::args::Export;
+use crate::commands::open_model;
 use crate::failure::Failure;
 use crate::output::Output;
 use crate::summary;
@@ -15,7 +16,8 @@ pub(crate) fn export(args: &Export, output: &Output) -> Result<(), Failure> {
         (false, true) => export_detected,
         (false, false) => export_model,
     };
-    let source = ExportSource { model: &args.workspace, images: args.images.as_deref() };
+    let model = open_model(&args.workspace, output)?;
+    let source = ExportSource { model: &model, images: args.images.as_deref() };
     let exported = write(&source, args.to, &args.output)?;
     output.result(&exported, || describe(&exported))
 }

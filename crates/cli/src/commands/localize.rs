@@ -5,6 +5,7 @@ use std::fmt::Write;
 use tiepoint_pipeline::models::{LocalizeOptions, LocalizeReport, localize as localize_photos};
 
 use crate::args::Localize;
+use crate::commands::open_model;
 use crate::failure::Failure;
 use crate::output::{Output, printable};
 use crate::progress::Progress;
@@ -17,11 +18,11 @@ pub(crate) fn localize(args: &Localize, output: &Output) -> Result<(), Failure> 
         seed: args.seed.seed,
         ..LocalizeOptions::default()
     };
+    let model = open_model(&args.model, output)?;
     let mut progress = Progress::new(output);
-    let report =
-        localize_photos(&args.model, &args.inputs, &args.output, &options, &mut |event| {
-            progress.watch(event)
-        })?;
+    let report = localize_photos(&model, &args.inputs, &args.output, &options, &mut |event| {
+        progress.watch(event)
+    })?;
     drop(progress);
     output.result(&report, || describe(&report))?;
     if report.localized > 0 {

@@ -1,6 +1,7 @@
 //! `model info`, `transform`, `align`, `crop` and `merge`.
 
 use std::fmt::Write;
+use std::path::PathBuf;
 
 use tiepoint_pipeline::models::{
     AlignTo, AlignmentInfo, CropTo, ModelChange, ModelInfo, align_model, crop_model, merge_models,
@@ -8,47 +9,56 @@ use tiepoint_pipeline::models::{
 };
 
 use crate::args::{AlignModel, CropModel, MergeModels, ModelCommand};
+use crate::commands::open_model;
 use crate::failure::Failure;
 use crate::output::Output;
 
 pub(crate) fn model(command: &ModelCommand, output: &Output) -> Result<(), Failure> {
     let change = match command {
         ModelCommand::Info(args) => {
-            let info = model_info(&args.model)?;
+            let info = model_info(&open_model(&args.model, output)?);
             return output.result(&info, || describe(&info));
         }
         ModelCommand::Transform(args) => {
-            transform_model(&args.model, &args.by, args.inverse, &args.output)?
+            let model = open_model(&args.model, output)?;
+            transform_model(&model, &args.by, args.inverse, &args.output)?
         }
-        ModelCommand::Align(args) => align(args)?,
-        ModelCommand::Crop(args) => crop(args)?,
-        ModelCommand::Merge(args) => merge(args)?,
+        ModelCommand::Align(args) => align(args, output)?,
+        ModelCommand::Crop(args) => crop(args, output)?,
+        ModelCommand::Merge(args) => merge(args, output)?,
     };
     output.result(&change, || describe_change(&change))
 }
 
-fn align(args: &AlignModel) -> Result<ModelChange, Failure> {
-    let target = match (&args.to, &args.positions, args.max_error) {
-        (Some(path), ..) => AlignTo::Model { path, max_error_px: args.max_error_px },
+fn align(args: &AlignModel, output: &Output) -> Result<ModelChange, Failure> {
+    let model = open_model(&args.model, output)?;
+    let reference = args.to.as_deref().map(|path| open_model(path, output)).transpose()?;
+    let target = match (&reference, &args.positions, args.max_error) {
+        (Some(reference), ..) => AlignTo::Model { reference, max_error_px: args.max_error_px },
         (None, Some(path), Some(max_error)) => AlignTo::Positions { path, max_error },
         // Clap requires one of them, and --max-error with --positions.
         (None, ..) => return Err(Failure::Usage("give --to or --positions".to_owned())),
     };
-    Ok(align_model(&args.model, target, &args.output, args.save_transform.as_deref())?)
+    Ok(align_model(&model, target, &args.output, args.save_transform.as_deref())?)
 }
 
-fn crop(args: &CropModel) -> Result<ModelChange, Failure> {
+fn crop(args: &CropModel, output: &Output) -> Result<ModelChange, Failure> {
     let crop_to = match (args.bounds, args.quantiles) {
         (Some(bounds), _) => CropTo::Box(bounds.0),
         (None, Some(quantiles)) => CropTo::Quantiles(quantiles.0, quantiles.1),
         // Clap requires one of them.
         (None, None) => return Err(Failure::Usage("give --box or --quantiles".to_owned())),
     };
-    Ok(crop_model(&args.model, crop_to, &args.output)?)
+    Ok(crop_model(&open_model(&args.model, output)?, crop_to, &args.output)?)
 }
 
-fn merge(args: &MergeModels) -> Result<ModelChange, Failure> {
-    Ok(merge_models(&args.models, args.max_error_px, &args.output)?)
+fn merge(args: &MergeModels, output: &Output) -> Result<ModelChange, Failure> {
+    let open = |path: &PathBuf| open_model(path, output);
+    let models = args.models.iter().map(open).collect::<Result<Vec<_>, _>>()?;
+    let Some((first, others)) = models.split_first() else {
+        return Err(Failure::Usage("give two models or more".to_owned()));
+    };
+    Ok(merge_models(first, others, args.max_error_px, &args.output)?)
 }
 
 // Writing to a string does not fail.

@@ -6,6 +6,7 @@ use tiepoint_pipeline::models::{
 };
 
 use crate::args::Undistort;
+use crate::commands::open_model;
 use crate::failure::Failure;
 use crate::output::Output;
 use crate::progress::Progress;
@@ -24,9 +25,10 @@ pub(crate) fn undistort(args: &Undistort, output: &Output) -> Result<(), Failure
         has_detected_keypoints: args.detected_keypoints,
         layout: UndistortLayout::Splats,
     };
+    let model = open_model(&args.model, output)?;
     let mut progress = Progress::new(output);
     let undistorted =
-        undistort_folder(&args.model, &args.output, &options, &mut |event| progress.watch(event))?;
+        undistort_folder(&model, &args.output, &options, &mut |event| progress.watch(event))?;
     drop(progress);
     output.result(&undistorted, || describe(&undistorted))
 }

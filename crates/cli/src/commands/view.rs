@@ -4,6 +4,7 @@ use serde::Serialize;
 use tiepoint_report::view as write_report;
 
 use crate::args::View;
+use crate::commands::open_model;
 use crate::failure::Failure;
 use crate::output::Output;
 
@@ -12,6 +13,7 @@ pub(crate) fn view(args: &View, output: &Output) -> Result<(), Failure> {
     struct Written {
         report: std::path::PathBuf,
     }
-    let written = Written { report: write_report(&args.workspace)? };
+    let written =
+        Written { report: write_report(&open_model(&args.workspace, output)?, &args.workspace)? };
     output.result(&written, || format!("{}\n", written.report.display()))
 }

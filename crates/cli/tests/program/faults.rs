@@ -21,6 +21,7 @@ use tiepoint_pipeline::models::{ExportFormat, ExportSource, adjust, export};
 use tiepoint_pipeline::sfm::MapperOptions;
 use tiepoint_pipeline::sfm::geometry::{CameraModelKind, Rng};
 use tiepoint_pipeline::stages::{DenseOptions, FeatureOptions, MapOptions, MatchOptions, dense};
+use tiepoint_pipeline::workspace::LocatedModel;
 use tiepoint_pipeline::{Error, Options, Stage, Workspace, reconstruct};
 use tiepoint_report::view;
 
@@ -94,11 +95,11 @@ impl Command {
         let watch = &mut |_: &tiepoint_pipeline::Event| ControlFlow::Continue(());
         match self {
             Self::Export(format, name) => {
-                let source = ExportSource { model: &ws, images: None };
+                let source = ExportSource { model: &LocatedModel::open(&ws)?, images: None };
                 export(&source, format, &dir.join("out").join(name)).map(drop)
             }
             Self::Adjust => adjust(&ws, Some(&dir.join("out")), false, watch).map(drop),
-            Self::View => view(&ws).map(drop),
+            Self::View => view(&LocatedModel::open(&ws)?, &ws).map(drop),
             Self::Dense => {
                 let options = DenseOptions {
                     write_normal_maps: true,

@@ -221,24 +221,30 @@ fn baseline_sets_the_scale_and_rigid_export_has_frames(dir: &Path) {
             given.rotation.angle_to(&pose(1).rotation) < 1e-9 && frame.rig_from_world == pose(0)
         );
     }
-    // Extrinsics of another format are refused, and stay as they are.
-    let rig = dir.join("ws/rig.json");
-    let good = fs::read_to_string(&rig).unwrap();
-    for (format, how) in [
-        ("\"version\": 3", "has the format of a version before 0.1.0"),
-        ("\"format\": 2", "has format 2, and this version reads format 1: use the version"),
+    // What belongs to another model, or was written by another version, is not used, and that is
+    // said.
+    let sidecar = dir.join("ws/sparse/0/tiepoint.json");
+    let good = fs::read_to_string(&sidecar).unwrap();
+    let hash = good.find("\"images.bin\": \"").unwrap() + 15;
+    let mut of_another = good.clone();
+    of_another.replace_range(hash..hash + 4, "beef");
+    for (other, how) in [
+        (good.replacen("\"format\": 1", "\"format\": 2", 1), "has format 2"),
+        (of_another, "another program has changed the model since"),
     ] {
-        let other = good.replacen("\"format\": 1", format, 1);
         assert_ne!(other, good);
-        fs::write(&rig, &other).unwrap();
-        for export in ["colmap --rigid -o {}/other", "kalibr -o {}/other.yaml"] {
-            tiepoint_in(dir, &format!("export {{}}/ws --to {export}"))
-                .failed(1, &["ws/rig.json", how, "make the workspace again in another folder"]);
-        }
-        assert_eq!(fs::read_to_string(&rig).unwrap(), other);
-        assert!(!dir.join("other").exists() && !dir.join("other.yaml").exists());
+        fs::write(&sidecar, &other).unwrap();
+        tiepoint_in(dir, "export {}/ws --to kalibr -o {}/other.yaml").failed(1, &["has no rig"]);
+        let said = tiepoint_in(dir, "export {}/ws --to colmap -o {}/other").done().stderr();
+        assert!(
+            said.contains("sparse/0/tiepoint.json is not used") && said.contains(how),
+            "{said}"
+        );
+        assert!(!dir.join("other/tiepoint.json").exists());
+        assert_eq!(fs::read_to_string(&sidecar).unwrap(), other);
+        assert!(!dir.join("other.yaml").exists());
     }
-    fs::write(&rig, good).unwrap();
+    fs::write(&sidecar, good).unwrap();
     // After adjustment the model is still rigid and valid; --fix-intrinsics keeps the intrinsics.
     for (options, are_fixed) in [("", false), ("--fix-intrinsics", true)] {
         let adjusted = format!("adjusted{options}");

@@ -7,12 +7,11 @@ use serde::Serialize;
 use tiepoint_eval::geometry::Sim3;
 use tiepoint_eval::geometry::nalgebra::Vector3;
 use tiepoint_eval::{Alignment, Cloud, IcpOptions, Statistics};
-use tiepoint_io::colmap::read_model;
 use tiepoint_io::ply;
 
 use crate::Error;
 use crate::evaluation::poses::ErrorStatistics;
-use crate::workspace::model_location::model_folder;
+use crate::workspace::located_model::LocatedModel;
 
 /// Largest number of points that ICP uses, which bounds its run time.
 const MAX_ICP_POINTS: usize = 50_000;
@@ -112,7 +111,7 @@ fn sample(points: &[Vector3<f64>]) -> Vec<Vector3<f64>> {
 /// The file or model cannot be read, or the build lacks the feature `las`.
 pub fn read_cloud(path: &Path) -> Result<Vec<Vector3<f64>>, Error> {
     if path.is_dir() {
-        let model = read_model(&model_folder(path)?)?;
+        let model = LocatedModel::open(path)?.reconstruction;
         return Ok(model.tracks().map(|(_, track)| track.xyz).collect());
     }
     let is_las = path

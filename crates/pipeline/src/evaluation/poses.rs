@@ -1,7 +1,7 @@
 //! Evaluation of the poses of a model against ground truth.
 
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::str::FromStr;
 
 use serde::Serialize;
@@ -10,12 +10,12 @@ use tiepoint_eval::{
     Alignment, Statistics, associate, auc, compare_poses, relative_pose_errors_rad,
 };
 use tiepoint_input::sequences::number;
-use tiepoint_io::{colmap, strecha, timestamps, trajectory};
+use tiepoint_io::{strecha, trajectory};
 use tiepoint_sfm::scene::{Image, Reconstruction};
 
 use crate::Error;
-use crate::workspace::image_names::first_folder;
-use crate::workspace::model_location::{ModelLocation, model_folder};
+use crate::workspace::image_names::first_stream;
+use crate::workspace::located_model::LocatedModel;
 
 /// A file or folder with ground truth poses.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -144,35 +144,33 @@ struct TruePose {
     focal_px: Option<f64>,
 }
 
-/// Evaluates the poses of a model (a folder or a workspace). With `prefix`, only images whose names
+/// Evaluates the poses of a model. With `prefix`, only images whose names
 /// start with it are compared. Without, all images are, except with ground truth that is the
 /// trajectory of one camera (KITTI, TUM): then those of the camera of the first image.
 ///
 /// # Errors
 ///
-/// The model or the ground truth cannot be read, fewer than three images have both poses, or the
+/// The ground truth cannot be read, fewer than three images have both poses, or the
 /// camera centres are collinear.
 pub fn evaluate_poses(
-    path: &Path,
+    located: &LocatedModel,
     truth: &Truth,
     prefix: Option<&str>,
 ) -> Result<PoseEvaluation, Error> {
-    let folder = model_folder(path)?;
-    let model = colmap::read_model(&folder)?;
+    let model = &located.reconstruction;
     let is_trajectory = matches!(truth.format, TruthFormat::Kitti | TruthFormat::Tum);
-    let prefix = match prefix {
-        Some(prefix) => prefix.to_owned(),
-        None if is_trajectory => first_folder(&model),
-        None => String::new(),
+    let first = first_stream(model);
+    let is_compared = |image: &&Image| match prefix {
+        Some(prefix) => image.name.starts_with(prefix),
+        None => !is_trajectory || *image.stream == *first,
     };
-    let images: Vec<&Image> = model
-        .images()
-        .map(|(_, image)| image)
-        .filter(|image| image.name.starts_with(&prefix))
-        .collect();
-    let pairs = associate_images(&folder, &images, truth)?;
-    let error =
-        |why: String| Error::Evaluation { model: path.to_owned(), truth: truth.path.clone(), why };
+    let images: Vec<&Image> = model.images().map(|(_, image)| image).filter(is_compared).collect();
+    let pairs = associate_images(&images, truth)?;
+    let error = |why: String| Error::Evaluation {
+        model: located.folder().to_owned(),
+        truth: truth.path.clone(),
+        why,
+    };
     let found: Vec<Option<Rigid3>> = pairs
         .iter()
         .map(|(image, _)| image.and_then(|image| image.cam_from_world().copied()))
@@ -209,7 +207,7 @@ pub fn evaluate_poses(
                 auc: auc(&relative, threshold_deg.to_radians()),
             })
             .to_vec(),
-        focal_lengths: focal_lengths(&model, &pairs),
+        focal_lengths: focal_lengths(model, &pairs),
         centre_errors: centres
             .filter_map(|((image, _), error)| Some(((*image)?.name.clone(), (*error)?)))
             .collect(),
@@ -219,7 +217,6 @@ pub fn evaluate_poses(
 
 /// The true poses, each with the image of the model if there is one.
 fn associate_images<'a>(
-    folder: &Path,
     images: &[&'a Image],
     truth: &Truth,
 ) -> Result<Vec<(Option<&'a Image>, TruePose)>, Error> {
@@ -245,7 +242,7 @@ fn associate_images<'a>(
                 .collect(),
         ),
         TruthFormat::Colmap => {
-            let model = colmap::read_model(&model_folder(path)?)?;
+            let model = LocatedModel::open(path)?.reconstruction;
             let poses = model.registered().map(|(id, image, cam_from_world)| {
                 let focal_px = Some(model.camera_of(id).intrinsics.mean_focal_px());
                 (image.name.clone(), TruePose { cam_from_world: *cam_from_world, focal_px })
@@ -263,12 +260,8 @@ fn associate_images<'a>(
         TruthFormat::Tum => {
             let mut poses = trajectory::read_tum(path)?;
             poses.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
-            let file = ModelLocation::of(folder).timestamps();
-            let times = timestamps::read(&file)?;
-            let mut timed: Vec<(f64, &Image)> = images
-                .iter()
-                .filter_map(|image| Some((*times.get(&image.name)?, *image)))
-                .collect();
+            let mut timed: Vec<(f64, &Image)> =
+                images.iter().filter_map(|image| Some((image.time_s?, *image))).collect();
             timed.sort_by(|a, b| a.0.total_cmp(&b.0));
             let image_times: Vec<f64> = timed.iter().map(|(time_s, _)| *time_s).collect();
             let true_times: Vec<f64> = poses.iter().map(|pose| pose.time_s).collect();

@@ -9,7 +9,7 @@ use tiepoint_input::sequences::number;
 use tiepoint_sfm::scene::{CameraId, Image, Reconstruction};
 
 use crate::evaluation::poses::ErrorStatistics;
-use crate::workspace::image_names::folder_of;
+use crate::workspace::image_names::stream_of;
 
 /// Statistics of the relative pose of two cameras in a model (p_i of Huang, Elhashash & Qin 2022)
 /// over all frames.
@@ -86,7 +86,7 @@ fn evaluate_pair(
         }
     };
     Some(RigEvaluation {
-        cameras: [left, right].map(|(camera, _)| folder_of(model, *camera)),
+        cameras: [left, right].map(|(camera, _)| stream_of(model, *camera)),
         frames: pairs.len(),
         baseline: statistics(series.baseline),
         translation_rms: series.translation_rms * scale,

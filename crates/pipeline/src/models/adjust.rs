@@ -5,7 +5,6 @@ use std::time::Instant;
 
 use serde::Serialize;
 use tiepoint_io::bal::{Bal, BalCamera, BalObservation};
-use tiepoint_io::colmap::{self, Format};
 use tiepoint_sfm::ba::factors::Reprojection;
 use tiepoint_sfm::ba::{
     EliminationOrder, IterationRecord, Key, Problem, Solver, Summary, Termination,
@@ -16,9 +15,8 @@ use tiepoint_sfm::geometry::{Loss, Rigid3, so3};
 use tiepoint_sfm::{self as sfm, AdjustOptions, RefineIntrinsics, Scope};
 use tiepoint_store::write_file;
 
-use crate::workspace::model_location::{ModelLocation, model_folder};
-use crate::workspace::model_output::{model_files, write_colmap};
-use crate::{Error, Event, Watch};
+use crate::workspace::located_model::LocatedModel;
+use crate::{Error, Event, Watch, emit};
 
 /// Summary of a bundle adjustment.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -58,8 +56,8 @@ pub struct AdjustStep {
 const MAX_ITERATIONS: usize = 100;
 
 /// Adjusts a model (a folder with a COLMAP model, a workspace, or a BAL file) and writes the result
-/// to `output` in the format of the input. Intrinsics are constant with `fix_intrinsics` and in a
-/// workspace that was given known ones. Images of a rig frame keep their sensor_from_rig in common.
+/// to `output` in the format of the input. Known intrinsics are constant, and with `fix_intrinsics`
+/// all are. Images of a rig frame keep their sensor_from_rig in common.
 ///
 /// # Errors
 ///
@@ -71,35 +69,33 @@ pub fn adjust(
     watch: Watch,
 ) -> Result<AdjustReport, Error> {
     if path.is_dir() {
-        adjust_colmap(&model_folder(path)?, output, fix_intrinsics, watch)
+        adjust_colmap(&LocatedModel::open(path)?, output, fix_intrinsics, watch)
     } else {
         adjust_bal(path, output, fix_intrinsics, watch)
     }
 }
 
 fn adjust_colmap(
-    path: &Path,
+    located: &LocatedModel,
     output: Option<&Path>,
     fix_intrinsics: bool,
     watch: Watch,
 ) -> Result<AdjustReport, Error> {
-    let mut model = colmap::read_model(path)?;
+    if let Some(what) = located.note() {
+        emit(watch, &Event::Noted { what })?;
+    }
+    let mut model = located.reconstruction.clone();
     let defaults = AdjustOptions::default();
-    let location = ModelLocation::of(path);
-    location.add_calibration_facts(&mut model);
-    let are_known = fix_intrinsics || location.has_known_intrinsics();
-    let refine = if are_known { RefineIntrinsics::NONE } else { defaults.refine };
+    let refine = if fix_intrinsics { RefineIntrinsics::NONE } else { defaults.refine };
     let options = AdjustOptions { refine, max_iterations: MAX_ITERATIONS, ..defaults };
     let start = Instant::now();
     let summary = sfm::adjust(&mut model, &Scope::Global, &options, &mut [], &mut |step| {
         watch(&Event::AdjustmentStep { step: step.number, cost: step.cost })
     })
-    .map_err(Error::adjusting(path))?;
+    .map_err(Error::adjusting(located.folder()))?;
     let report = AdjustReport::new(&summary, start, model.num_registered(), model.num_tracks())?;
     if let Some(output) = output {
-        let is_text = path.join("cameras.txt").is_file() && !path.join("cameras.bin").is_file();
-        let format = if is_text { Format::Text } else { Format::Binary };
-        write_colmap(output, &model, format, &model_files(path))?;
+        located.changed(model).write(output, &located.files())?;
     }
     Ok(report)
 }

@@ -11,27 +11,26 @@ use tiepoint_input::parallel::{budget_bytes, for_each_within_budget};
 use tiepoint_input::sequences::number;
 use tiepoint_input::{Exif, Rgb};
 use tiepoint_io::bal::Bal;
-use tiepoint_io::colmap::{Format, read_model};
+use tiepoint_io::colmap::Format;
 use tiepoint_io::nerfstudio::{self, Motion};
 use tiepoint_io::trajectory::{self, TimedPose};
-use tiepoint_io::{gltf, gsplat, openmvs, ply, timestamps};
+use tiepoint_io::{gltf, gsplat, openmvs, ply};
 use tiepoint_sfm::geometry::Rigid3;
 use tiepoint_sfm::natural_order;
 use tiepoint_sfm::scene::{Image, ImageId, Reconstruction};
 use tiepoint_store::disk::{self, FileId};
 use tiepoint_store::{AtomicFile, Error as StoreError, OutputFolder, write_file};
 
+use crate::Error;
 use crate::models::rigid::{RigidReport, rigid_model};
 use crate::models::{kalibr, rolling_shutter};
 use crate::workspace::file_marks::{COMMENT, COMMENT_MARK, GLTF_MARK, LAS_MARK, PLY_MARK};
-use crate::workspace::folder::{REPORT, is_workspace, refuse_workspace};
-use crate::workspace::image_names::first_folder;
-use crate::workspace::model_location::{ModelLocation, model_folder};
-use crate::workspace::model_output::{
-    model_files, model_names, refuse_shadow, renamed, stage_model, write_colmap,
-};
+use crate::workspace::folder::{is_workspace, refuse_workspace};
+use crate::workspace::image_names::first_stream;
+use crate::workspace::located_model::LocatedModel;
+use crate::workspace::model_output::{model_names, refuse_shadow, renamed, stage_model};
 use crate::workspace::model_photos::{check_sizes, decoder_bytes, photos_of, write_undistorted};
-use crate::{Error, Report};
+use crate::workspace::sidecar::SIDECAR;
 
 /// An export format.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -111,8 +110,8 @@ pub struct Exported {
 /// Input of an export.
 #[derive(Clone, Copy, Debug)]
 pub struct ExportSource<'a> {
-    /// A folder with a COLMAP model, or a workspace.
-    pub model: &'a Path,
+    /// The model.
+    pub model: &'a LocatedModel,
     /// The folder that the names of the model's images begin in; `None`: the photos are the inputs
     /// of the workspace that the model is in.
     pub images: Option<&'a Path>,
@@ -126,8 +125,7 @@ pub struct ExportSource<'a> {
 /// times, rig extrinsics, photos), or the result cannot be written.
 pub fn export(from: &ExportSource, format: ExportFormat, to: &Path) -> Result<Exported, Error> {
     // Its files are read only by the formats that have it.
-    let dense = dense_cloud(from.model);
-    write_as(from, &read_model(&model_folder(from.model)?)?, dense.as_deref(), format, to)
+    write_as(from, from.model.dense_cloud().as_deref(), format, to)
 }
 
 /// Adjusts a model with exact rig extrinsics (one `cam_from_rig` per camera), whatever constraint
@@ -146,7 +144,8 @@ pub fn export_rigid(
         return Err(Error::NoPoses { path: to.to_owned() });
     }
     let (model, rigid) = rigid_model(from.model)?;
-    Ok(Exported { rigid: Some(rigid), ..write_as(from, &model, None, format, to)? })
+    let from = ExportSource { model: &from.model.changed(model), ..*from };
+    Ok(Exported { rigid: Some(rigid), ..write_as(&from, None, format, to)? })
 }
 
 /// [`export`] of a model with its keypoints where they were detected. Those of a model with rolling
@@ -160,45 +159,47 @@ pub fn export_detected(
     format: ExportFormat,
     to: &Path,
 ) -> Result<Exported, Error> {
-    let folder = model_folder(from.model)?;
-    let mut model = read_model(&folder)?;
-    rolling_shutter::restore_detected_keypoints(&folder, &mut model)?;
-    write_as(from, &model, dense_cloud(from.model).as_deref(), format, to)
+    let dense = from.model.dense_cloud();
+    let model = from.model.changed(rolling_shutter::detected_keypoints(from.model)?);
+    write_as(&ExportSource { model: &model, ..*from }, dense.as_deref(), format, to)
 }
 
 fn write_as(
     from: &ExportSource,
-    model: &Reconstruction,
     dense: Option<&Path>,
     format: ExportFormat,
     to: &Path,
 ) -> Result<Exported, Error> {
-    let folder = model_folder(from.model)?;
+    let (located, model) = (from.model, &from.model.reconstruction);
+    let folder = || located.folder().to_owned();
     let (mut poses, mut points, mut in_place) = (model.num_registered(), model.num_tracks(), 0);
-    let inputs = model_files(&folder);
+    let inputs = located.files();
     let file = |mark, write: &dyn Fn(&Path) -> Result<(), Error>| {
         write_file(to, inputs.iter().map(PathBuf::as_path), mark, write)
     };
     match format {
-        ExportFormat::Colmap => write_colmap(to, model, Format::Binary, &inputs)?,
-        ExportFormat::ColmapText => write_colmap(to, model, Format::Text, &inputs)?,
+        ExportFormat::Colmap => located.write_as(to, Format::Binary, &inputs)?,
+        ExportFormat::ColmapText => located.write_as(to, Format::Text, &inputs)?,
         ExportFormat::Bal => {
-            let bal = Bal::from_reconstruction(model).map_err(|error| error.of(&folder))?;
+            let bal =
+                Bal::from_reconstruction(model).map_err(|error| error.of(located.folder()))?;
             file(None, &|to| Ok(bal.write(to)?))?;
         }
-        ExportFormat::OpenMvs => export_openmvs(from, model, to)?,
+        ExportFormat::OpenMvs => export_openmvs(from, to)?,
         ExportFormat::Nerfstudio => {
-            in_place = export_nerfstudio(from, model, to, &BTreeMap::new())?;
+            in_place = export_nerfstudio(from, to, &BTreeMap::new())?;
         }
         ExportFormat::Deblur => {
-            let mut model = model.clone();
-            let motions = rolling_shutter::motions(&folder, &mut model)?;
-            let motions = rolling_shutter::for_nerfstudio(&motions);
-            in_place = export_nerfstudio(from, &model, to, &motions)?;
+            let motions = rolling_shutter::for_nerfstudio(&rolling_shutter::motions(located)?);
+            in_place = export_nerfstudio(from, to, &motions)?;
         }
-        ExportFormat::Gsplat => in_place = export_gsplat(from, &folder, model, to)?,
+        ExportFormat::Gsplat => in_place = export_gsplat(from, to)?,
         ExportFormat::Kalibr => {
-            let (text, cameras) = kalibr::camchain(model, &ModelLocation::of(&folder).rig())?;
+            let rig = located.rig.as_ref().ok_or_else(|| Error::NoRig { path: folder() })?;
+            let (text, cameras) = kalibr::camchain(model, rig).map_err(|name| Error::Broken {
+                path: located.folder().join(SIDECAR),
+                what: format!("there is no camera {name} in the model"),
+            })?;
             let text = format!("{COMMENT}\n{text}");
             file(Some(COMMENT_MARK), &|to| {
                 Ok(AtomicFile::write_with(to, |out| out.write_all(text.as_bytes()))?)
@@ -210,7 +211,7 @@ fn write_as(
             poses = 0;
         }
         ExportFormat::Las => {
-            let cloud = dense.ok_or_else(|| Error::NoDenseCloud { path: from.model.to_owned() })?;
+            let cloud = dense.ok_or_else(|| Error::NoDenseCloud { path: folder() })?;
             write_file(to, [cloud], Some(LAS_MARK), |to| {
                 points = write_las(cloud, to)?;
                 Ok::<_, Error>(())
@@ -231,36 +232,26 @@ fn write_as(
             let images = trajectory_of(model);
             let names: Vec<&str> = images.iter().map(|(image, _)| image.name.as_str()).collect();
             if let Some(frames) = gaps(&names) {
-                return Err(Error::TrajectoryGaps { model: folder, frames });
+                return Err(Error::TrajectoryGaps { model: folder(), frames });
             }
             let trajectory: Vec<Rigid3> = images.into_iter().map(|(_, pose)| pose).collect();
             file(None, &|to| Ok(trajectory::write_kitti(to, &trajectory)?))?;
             (poses, points) = (trajectory.len(), 0);
         }
         ExportFormat::Tum => {
-            let times = ModelLocation::of(&folder).timestamps();
-            let times = if times.is_file() { timestamps::read(&times)? } else { BTreeMap::new() };
             let timed = trajectory_of(model).into_iter().filter_map(|(image, cam_from_world)| {
-                Some(TimedPose { time_s: *times.get(&image.name)?, cam_from_world })
+                Some(TimedPose { time_s: image.time_s?, cam_from_world })
             });
             let mut timed: Vec<TimedPose> = timed.collect();
             timed.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
             if timed.is_empty() {
-                return Err(Error::NoTimes { model: folder });
+                return Err(Error::NoTimes { model: folder() });
             }
             file(Some(COMMENT_MARK), &|to| Ok(trajectory::write_tum(to, &timed)?))?;
             (poses, points) = (timed.len(), 0);
         }
     }
     Ok(Exported { path: to.to_owned(), poses, points, photos_in_place: in_place, rigid: None })
-}
-
-/// The file of the dense cloud of a workspace; `None` if there is none of its current model.
-fn dense_cloud(workspace: &Path) -> Option<PathBuf> {
-    if !is_workspace(workspace) {
-        return None;
-    }
-    Report::read(&workspace.join(REPORT)).ok()?.dense_cloud(workspace)
 }
 
 /// Writes a cloud as LAS or LAZ. Returns the number of points.
@@ -284,14 +275,15 @@ fn image_name(image: &Image) -> String {
 }
 
 /// Writes `scene.mvs` and undistorted images: OpenMVS supports pinhole cameras only.
-fn export_openmvs(from: &ExportSource, model: &Reconstruction, to: &Path) -> Result<(), Error> {
+fn export_openmvs(from: &ExportSource, to: &Path) -> Result<(), Error> {
     const SCENE: &str = "scene.mvs";
+    let model = &from.model.reconstruction;
     let is_spherical =
         |image: &Image| model.camera(image.camera).intrinsics.kind().focal_indices().is_empty();
     if let Some((_, image, _)) = model.registered().find(|(_, image, _)| is_spherical(image)) {
         return Err(Error::NoImagePlane { image: image.name.clone() });
     }
-    let photos = photos_of(from.model, from.images, model)?;
+    let photos = photos_of(from.model, from.images)?;
     check_sizes(&photos, model)?;
     let mut folder = OutputFolder::open(to)?;
     folder.protect(photos.iter().map(|(_, path)| path.as_path()));
@@ -299,7 +291,7 @@ fn export_openmvs(from: &ExportSource, model: &Reconstruction, to: &Path) -> Res
     names.push(SCENE.to_owned());
     folder.ensure_writable(names.iter().map(String::as_str))?;
     let undistorted = undistort_model(model, &UndistortOptions::default())
-        .map_err(|cause| Error::Dense { path: from.model.to_owned(), cause })?;
+        .map_err(|cause| Error::Dense { path: from.model.folder().to_owned(), cause })?;
     let write = |(image, path): &(&Image, PathBuf)| -> Result<(), Error> {
         let (old, new) = (model.camera(image.camera), undistorted.camera(image.camera));
         let target = folder.stage(&image_name(image))?;
@@ -318,7 +310,6 @@ fn export_openmvs(from: &ExportSource, model: &Reconstruction, to: &Path) -> Res
 /// already are not copied; returns their number.
 fn export_nerfstudio(
     from: &ExportSource,
-    model: &Reconstruction,
     to: &Path,
     motions: &BTreeMap<ImageId, Motion>,
 ) -> Result<usize, Error> {
@@ -328,8 +319,9 @@ fn export_nerfstudio(
         // The points.ply of a workspace is the cloud of its model.
         return Err(StoreError::IsInput { path: to.join(CLOUD) }.into());
     }
+    let model = &from.model.reconstruction;
     let names = [CLOUD, TRANSFORMS].map(str::to_owned);
-    with_photos(from, model, to, &names, &[], |folder| {
+    with_photos(from, to, &names, &[], |folder| {
         ply::write(&folder.stage(CLOUD)?, &ply::points(model))?;
         let staged = folder.stage(TRANSFORMS)?;
         nerfstudio::write_with_motion(&staged, model, IMAGES, Some(CLOUD), motions)
@@ -340,24 +332,18 @@ fn export_nerfstudio(
 
 /// Writes `rolling_shutter.json`, the model with the detected keypoints, which are those of the
 /// photos, and copies of the photos. Returns as [`export_nerfstudio`].
-fn export_gsplat(
-    from: &ExportSource,
-    model_folder: &Path,
-    model: &Reconstruction,
-    to: &Path,
-) -> Result<usize, Error> {
+fn export_gsplat(from: &ExportSource, to: &Path) -> Result<usize, Error> {
     const SPARSE: &str = "sparse/0";
     const ROWS: &str = "rolling_shutter.json";
     refuse_workspace(to)?;
-    refuse_shadow(from.model, model_folder, to)?;
-    let mut model = model.clone();
-    let motions = rolling_shutter::motions(model_folder, &mut model)?;
-    let rows = rolling_shutter::for_gsplat(&model, &motions);
-    rolling_shutter::restore_detected_keypoints(model_folder, &mut model)?;
-    let inputs = model_files(model_folder);
+    refuse_shadow(from.model.folder(), to)?;
+    let motions = rolling_shutter::motions(from.model)?;
+    let rows = rolling_shutter::for_gsplat(&from.model.reconstruction, &motions);
+    let model = rolling_shutter::detected_keypoints(from.model)?;
+    let inputs = from.model.files();
     let mut names = model_names(Some(SPARSE));
     names.push(ROWS.to_owned());
-    with_photos(from, &model, to, &names, &inputs, |folder| {
+    with_photos(from, to, &names, &inputs, |folder| {
         let staged = folder.stage(ROWS)?;
         gsplat::write(&staged, &model, IMAGES, &rows)
             .map_err(|error| renamed(error, &staged, &to.join(ROWS)))?;
@@ -371,13 +357,13 @@ fn export_gsplat(
 /// write. Photos that are in their places already are not copied; returns their number.
 fn with_photos(
     from: &ExportSource,
-    model: &Reconstruction,
     to: &Path,
     names: &[String],
     inputs: &[PathBuf],
     write: impl FnOnce(&OutputFolder) -> Result<Vec<String>, Error>,
 ) -> Result<usize, Error> {
-    let photos = photos_of(from.model, from.images, model)?;
+    let model = &from.model.reconstruction;
+    let photos = photos_of(from.model, from.images)?;
     check_sizes(&photos, model)?;
     // Readers of these formats take the pixels as they are stored.
     let is_turned = |path: &Path| Exif::read(path).is_ok_and(|exif| exif.orientation > 1);
@@ -444,10 +430,10 @@ fn gaps(names: &[&str]) -> Option<String> {
 /// Registered images of the first camera and their poses (`cam_from_world`), ordered by name,
 /// numbers by value.
 fn trajectory_of(model: &Reconstruction) -> Vec<(&Image, Rigid3)> {
-    let prefix = first_folder(model);
+    let stream = first_stream(model);
     let mut images: Vec<(&Image, Rigid3)> = model
         .registered()
-        .filter(|(_, image, _)| image.name.starts_with(&prefix))
+        .filter(|(_, image, _)| *image.stream == *stream)
         .map(|(_, image, pose)| (image, *pose))
         .collect();
     images.sort_by(|a, b| natural_order(&a.0.name, &b.0.name));

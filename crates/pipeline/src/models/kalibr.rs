@@ -5,41 +5,34 @@
 //! timeshift. Kalibr has the centre of the first pixel at (0, 0), COLMAP at (0.5, 0.5).
 
 use std::fmt::Write;
-use std::path::Path;
 
 use tiepoint_sfm::geometry::nalgebra::{Matrix4, Vector2};
 use tiepoint_sfm::geometry::{CameraModelKind, Intrinsics, Rigid3};
 use tiepoint_sfm::scene::{Camera, Reconstruction};
-use tiepoint_store::require_regular_file;
 
-use crate::Error;
-use crate::workspace::image_names::camera_of_folder;
+use crate::workspace::image_names::camera_of_stream;
 use crate::workspace::rig_file::{RigCamera, RigFile};
 
 /// Pixel coordinates of COLMAP minus those of Kalibr.
 const PIXEL_CENTRE_OFFSET_PX: f64 = 0.5;
 
-/// The text of `camchain.yaml` for the rig file at `rig`, and the number of its cameras.
+/// The text of `camchain.yaml` for the rig of a model, and the number of its cameras.
 ///
 /// # Errors
 ///
-/// The rig file does not exist or is damaged, or names a camera that the model lacks.
-pub(crate) fn camchain(model: &Reconstruction, rig: &Path) -> Result<(String, usize), Error> {
-    require_regular_file(rig)?;
-    let text = std::fs::read(rig).map_err(|_| Error::NoRig { path: rig.to_owned() })?;
-    let file = RigFile::from_json(rig, &text)?;
-    let find = |name: &str| -> Result<&Camera, Error> {
-        let camera = camera_of_folder(model, name).map(|(_, camera)| camera);
-        camera.ok_or_else(|| Error::Broken {
-            path: rig.to_owned(),
-            what: format!("there is no camera {name}"),
-        })
+/// The name of a camera of the rig that the model lacks.
+pub(crate) fn camchain<'a>(
+    model: &Reconstruction,
+    rig: &'a RigFile,
+) -> Result<(String, usize), &'a str> {
+    let find = |name: &'a str| -> Result<&Camera, &'a str> {
+        camera_of_stream(model, name).map(|(_, camera)| camera).ok_or(name)
     };
     let mut yaml = String::new();
     let mut before = Rigid3::identity();
-    let all = std::iter::once((file.reference.as_str(), None));
+    let all = std::iter::once((rig.reference.as_str(), None));
     for (index, (name, camera)) in
-        all.chain(file.cameras.iter().map(|c| (c.name.as_str(), Some(c)))).enumerate()
+        all.chain(rig.cameras.iter().map(|c| (c.name.as_str(), Some(c)))).enumerate()
     {
         let lens = find(name)?;
         let pose = camera.map_or_else(Rigid3::identity, RigCamera::cam_from_rig);
@@ -57,7 +50,7 @@ pub(crate) fn camchain(model: &Reconstruction, rig: &Path) -> Result<(String, us
         }
         before = pose;
     }
-    Ok((yaml, file.cameras.len() + 1))
+    Ok((yaml, rig.cameras.len() + 1))
 }
 
 /// A string in YAML, quoted as in JSON if it has special characters.
@@ -163,11 +156,8 @@ mod tests {
             reference: "left".to_owned(),
             cameras: vec![camera("right", -0.5, 0.25), camera("rear", -0.5, -1.0)],
         };
-        let dir = tempfile::tempdir().unwrap();
-        let path = dir.path().join("rig.json");
-        assert!(matches!(camchain(&model, &path), Err(Error::NoRig { .. })));
-        std::fs::write(&path, rig.to_json()).unwrap();
-        let (text, count) = camchain(&model, &path).unwrap();
+        assert_eq!(camchain(&Reconstruction::default(), &rig), Err("left"));
+        let (text, count) = camchain(&model, &rig).unwrap();
         assert_eq!(count, 3);
         let first = "cam0:\n  rostopic: /left\n  resolution: [640, 480]\n  camera_model: \
         pinhole\n  intrinsics: [500, 500, 320, 240]\n  \

@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 use tiepoint_input::cameras::{Calibration, CalibrationSource, Calibrations};
 use tiepoint_input::{DEFAULT_MAX_PIXELS, Exif, ImageFolder, ImageInfo};
-use tiepoint_io::colmap::{Format, read_model};
+use tiepoint_io::colmap::Format;
 use tiepoint_io::database::Database;
 use tiepoint_io::features::{self as sift, Features};
 use tiepoint_sfm::geometry::Rng;
@@ -29,8 +29,8 @@ use crate::stages::pair_choice::learn_retrieval;
 use crate::workspace::database_scene::read_scene;
 use crate::workspace::folder::{DATABASE, current_records, is_workspace};
 use crate::workspace::keypoints::keypoint;
-use crate::workspace::model_location::model_folder;
-use crate::workspace::model_output::{model_files, write_colmap};
+use crate::workspace::located_model::LocatedModel;
+use crate::workspace::model_output::write_colmap;
 use crate::{Error, Event, Watch, emit};
 
 /// Up to this number of images of the model, a photo is matched with all; above it, with this
@@ -141,8 +141,8 @@ pub enum CameraSource {
 }
 
 /// Estimates the poses of photos in a model, and writes the model with them to `output`: its own
-/// images, points and intrinsics stay as they are. `path`: a workspace, or a folder with
-/// `database.db` and `sparse/`, or a model in one. Photos are compared with the images that the
+/// images, points and intrinsics stay as they are. It must be in a folder with the `database.db` of
+/// its features. Photos are compared with the images that the
 /// database has features of.
 ///
 /// The intrinsics of a photo are those of a calibration, else those of a camera of the model whose
@@ -151,10 +151,10 @@ pub enum CameraSource {
 ///
 /// # Errors
 ///
-/// There is no model or no database with SIFT features; the photos or a calibration cannot be read;
+/// There is no database with SIFT features; the photos or a calibration cannot be read;
 /// `output` holds files of others or the model; `watch` returns `Break`.
 pub fn localize(
-    path: &Path,
+    model: &LocatedModel,
     inputs: &[PathBuf],
     output: &Path,
     options: &LocalizeOptions,
@@ -168,8 +168,8 @@ pub fn localize(
     let photos = ImageFolder::open(inputs, options.masks.as_deref())?;
     let photos = photos.with_max_pixels(options.max_pixels);
     let calibrations = Calibrations::read(&options.calibration_files, &photos)?;
-    let mut map = ReferenceModel::open(path, options)?;
-    let mut inputs = model_files(&map.folder);
+    let mut map = ReferenceModel::open(model, options)?;
+    let mut inputs = model.files();
     inputs.push(map.database_file.clone());
     inputs.extend((0..photos.images().len()).map(|index| photos.path(index).to_owned()));
     refuse_inside(output, &map)?;
@@ -208,7 +208,7 @@ pub fn localize(
     report.photos.sort_by(|a, b| a.image.cmp(&b.image));
     report.localized = localized.len();
     map.add(localized);
-    write_colmap(output, &map.scene, Format::Binary, &inputs)?;
+    write_colmap(output, &map.scene, Format::Binary, None, &inputs)?;
     report.seconds = start.elapsed().as_secs_f64();
     Ok(report)
 }
@@ -286,12 +286,12 @@ impl ExifKey {
 }
 
 impl ReferenceModel {
-    fn open(path: &Path, options: &LocalizeOptions) -> Result<Self, Error> {
-        let folder = model_folder(path)?;
+    fn open(located: &LocatedModel, options: &LocalizeOptions) -> Result<Self, Error> {
+        let folder = located.folder().to_owned();
         // The model may be that of `sparse/0` or of another folder with a database.
         let root = folder.ancestors().take(3).find(|root| root.join(DATABASE).is_file());
         let Some(root) = root else {
-            return Err(Error::NoModelDatabase { path: path.to_owned() });
+            return Err(Error::NoModelDatabase { path: folder });
         };
         let database_file = root.join(DATABASE);
         let database = Database::open_read_only(&database_file)?;
@@ -300,8 +300,8 @@ impl ReferenceModel {
         }
         let scene = read_scene(&database)?;
         let num_images = scene.num_images();
-        let model = read_model(&folder)?;
-        let found = transfer_model(&scene, &model)
+        let model = &located.reconstruction;
+        let found = transfer_model(&scene, model)
             .map_err(|cause| Error::InputModel { path: folder.clone(), cause })?;
         let scene = found.scene;
         let is_posed = |id: &ImageId| id.index() < num_images && scene.image(*id).num_points() > 0;

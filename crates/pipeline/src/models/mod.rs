@@ -19,6 +19,5 @@ pub use model_tools::{
     align_model, crop_model, merge_models, model_info, transform_model,
 };
 pub use rigid::RigidReport;
-pub use rolling_shutter::rolling_shutters;
 pub use tiepoint_dense::undistort::UndistortOptions;
 pub use undistort::{UndistortFolderOptions, UndistortLayout, Undistorted, undistort};

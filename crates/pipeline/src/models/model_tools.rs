@@ -4,7 +4,6 @@
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
-use tiepoint_io::colmap::{Format, read_model};
 use tiepoint_io::names::ByName;
 use tiepoint_io::{positions, similarity};
 use tiepoint_sfm::geometry::nalgebra::Vector3;
@@ -14,8 +13,8 @@ use tiepoint_sfm::{BoundingBox, align_models, crop, merge_model};
 use tiepoint_store::write_file;
 
 use crate::Error;
-use crate::workspace::model_location::model_folder;
-use crate::workspace::model_output::{model_files, refuse_foreign_model, write_colmap};
+use crate::workspace::located_model::LocatedModel;
+use crate::workspace::model_output::refuse_foreign_model;
 
 /// A camera of a model.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -139,8 +138,8 @@ pub struct MergedInfo {
 pub enum AlignTo<'a> {
     /// A model with common images, by the keypoints that observe points in both.
     Model {
-        /// Its folder, or a workspace.
-        path: &'a Path,
+        /// The model.
+        reference: &'a LocatedModel,
         /// Maximum transfer error of an inlier, in pixels.
         max_error_px: f64,
     },
@@ -165,51 +164,33 @@ pub enum CropTo {
 /// Minimum number of images of an alignment to positions, which three determine.
 const MIN_POSITIONS: usize = 3;
 
-/// A model with its files.
-struct Model {
-    folder: PathBuf,
-    reconstruction: Reconstruction,
+/// Writes a changed model into `to` in the format that it was read in. No file of `inputs` is
+/// replaced.
+fn write(located: &LocatedModel, to: &Path, inputs: &[PathBuf]) -> Result<ModelChange, Error> {
+    located.write(to, inputs)?;
+    Ok(ModelChange {
+        path: to.to_owned(),
+        images: located.reconstruction.num_registered(),
+        points: located.reconstruction.num_tracks(),
+        transform: None,
+        alignment: None,
+        merged: Vec::new(),
+    })
 }
 
-impl Model {
-    fn read(path: &Path) -> Result<Self, Error> {
-        let folder = model_folder(path)?;
-        Ok(Self { reconstruction: read_model(&folder)?, folder })
-    }
-
-    /// Writes it into `to` in the format that it was read in. No file of `inputs` is replaced.
-    fn write(&self, to: &Path, inputs: &[PathBuf]) -> Result<ModelChange, Error> {
-        let has = |name: &str| self.folder.join(name).is_file();
-        let is_text = has("cameras.txt") && !has("cameras.bin");
-        let format = if is_text { Format::Text } else { Format::Binary };
-        write_colmap(to, &self.reconstruction, format, inputs)?;
-        Ok(ModelChange {
-            path: to.to_owned(),
-            images: self.reconstruction.num_registered(),
-            points: self.reconstruction.num_tracks(),
-            transform: None,
-            alignment: None,
-            merged: Vec::new(),
-        })
-    }
-
-    /// Applies a similarity.
-    fn transform(&mut self, new_from_old: &Sim3) -> Result<(), Error> {
-        self.reconstruction.transform(new_from_old);
-        // A transform of huge numbers may overflow. The model was valid when it was read.
-        self.reconstruction
-            .validate()
-            .map_err(|_| Error::TransformOverflows { path: self.folder.clone() })
-    }
+/// Applies a similarity.
+fn transform(located: &LocatedModel, new_from_old: &Sim3) -> Result<LocatedModel, Error> {
+    let mut model = located.reconstruction.clone();
+    model.transform(new_from_old);
+    // A transform of huge numbers may overflow. The model was valid when it was read.
+    let overflows = |_| Error::TransformOverflows { path: located.folder().to_owned() };
+    model.validate().map_err(overflows)?;
+    Ok(located.changed(model))
 }
 
-/// Counts and errors of a model (a folder or a workspace).
-///
-/// # Errors
-///
-/// The model cannot be read.
-pub fn model_info(path: &Path) -> Result<ModelInfo, Error> {
-    let Model { folder, reconstruction: model } = Model::read(path)?;
+/// Counts and errors of a model.
+pub fn model_info(located: &LocatedModel) -> ModelInfo {
+    let model = &located.reconstruction;
     let cameras = model.cameras().map(|(id, camera)| CameraInfo {
         model: camera.intrinsics.kind().name(),
         param_names: camera.intrinsics.kind().param_names(),
@@ -218,10 +199,10 @@ pub fn model_info(path: &Path) -> Result<ModelInfo, Error> {
         height: camera.height,
         images: model.registered().filter(|(_, image, _)| image.camera == id).count(),
     });
-    let bounds = BoundingBox::of_points(&model, 0.0, 1.0);
+    let bounds = BoundingBox::of_points(model, 0.0, 1.0);
     let images = model.num_registered();
-    Ok(ModelInfo {
-        path: folder,
+    ModelInfo {
+        path: located.folder().to_owned(),
         cameras: cameras.collect(),
         rigs: model.rigs.len(),
         frames: model.frames.len(),
@@ -233,27 +214,25 @@ pub fn model_info(path: &Path) -> Result<ModelInfo, Error> {
         mean_reprojection_error_px: model.mean_reprojection_error_px(),
         min: bounds.map(|bounds| bounds.min.into()),
         max: bounds.map(|bounds| bounds.max.into()),
-    })
+    }
 }
 
 /// Transforms a model by the similarity in a file (or its inverse), and writes it to `to`.
 ///
 /// # Errors
 ///
-/// The model or the file cannot be read, or the result cannot be written.
+/// The file cannot be read, or the result cannot be written.
 pub fn transform_model(
-    path: &Path,
+    located: &LocatedModel,
     file: &Path,
     is_inverse: bool,
     to: &Path,
 ) -> Result<ModelChange, Error> {
     let new_from_old = similarity::read(file)?;
     let new_from_old = if is_inverse { new_from_old.inverse() } else { new_from_old };
-    let mut model = Model::read(path)?;
-    model.transform(&new_from_old)?;
-    let mut inputs = model_files(&model.folder);
+    let mut inputs = located.files();
     inputs.push(file.to_owned());
-    let change = model.write(to, &inputs)?;
+    let change = write(&transform(located, &new_from_old)?, to, &inputs)?;
     Ok(ModelChange { transform: Some((&new_from_old).into()), ..change })
 }
 
@@ -265,25 +244,23 @@ pub fn transform_model(
 /// An input cannot be read, the inputs do not determine the alignment, or the result cannot be
 /// written.
 pub fn align_model(
-    path: &Path,
+    located: &LocatedModel,
     align_to: AlignTo,
     to: &Path,
     transform_to: Option<&Path>,
 ) -> Result<ModelChange, Error> {
-    let mut model = Model::read(path)?;
-    let mut inputs = model_files(&model.folder);
+    let mut inputs = located.files();
     let (new_from_old, alignment) = match align_to {
-        AlignTo::Model { path: reference, max_error_px } => {
-            let reference = Model::read(reference)?;
-            inputs.extend(model_files(&reference.folder));
-            align_to_model(&model, &reference, max_error_px)?
+        AlignTo::Model { reference, max_error_px } => {
+            inputs.extend(reference.files());
+            align_to_model(located, reference, max_error_px)?
         }
         AlignTo::Positions { path: file, max_error } => {
             inputs.push(file.to_owned());
-            align_to_positions(&model, file, max_error)?
+            align_to_positions(located, file, max_error)?
         }
     };
-    model.transform(&new_from_old)?;
+    let model = transform(located, &new_from_old)?;
     if let Some(file) = transform_to {
         // Both results are refused before either is written.
         refuse_foreign_model(to, &inputs)?;
@@ -292,22 +269,22 @@ pub fn align_model(
         })?;
         inputs.push(file.to_owned());
     }
-    let change = model.write(to, &inputs)?;
+    let change = write(&model, to, &inputs)?;
     let transform = Some((&new_from_old).into());
     Ok(ModelChange { transform, alignment: Some(alignment), ..change })
 }
 
 fn align_to_model(
-    model: &Model,
-    reference: &Model,
+    model: &LocatedModel,
+    reference: &LocatedModel,
     max_error_px: f64,
 ) -> Result<(Sim3, AlignmentInfo), Error> {
     let (one, other) = (&model.reconstruction, &reference.reconstruction);
-    let found = align_models(one, other, max_error_px).map_err(Error::adjusting(&model.folder))?;
+    let found = align_models(one, other, max_error_px).map_err(Error::adjusting(model.folder()))?;
     let Some(similarity) = found.reference_from_model else {
         return Err(Error::NoAlignment {
-            model: model.folder.clone(),
-            reference: reference.folder.clone(),
+            model: model.folder().to_owned(),
+            reference: reference.folder().to_owned(),
             why: why_apart(&found),
         });
     };
@@ -358,7 +335,7 @@ fn mean(values: impl Iterator<Item = f64>) -> f64 {
 }
 
 fn align_to_positions(
-    model: &Model,
+    model: &LocatedModel,
     file: &Path,
     max_error: f64,
 ) -> Result<(Sim3, AlignmentInfo), Error> {
@@ -369,7 +346,7 @@ fn align_to_positions(
         .filter_map(|(_, image, pose)| Some((pose.origin_in_a(), *positions.get(&image.name)?)));
     let (from, to): (Vec<Vector3<f64>>, Vec<Vector3<f64>>) = pairs.unzip();
     let failed = |why: String| Error::NoAlignment {
-        model: model.folder.clone(),
+        model: model.folder().to_owned(),
         reference: file.to_owned(),
         why,
     };
@@ -404,21 +381,25 @@ fn align_to_positions(
 ///
 /// # Errors
 ///
-/// The model cannot be read, no point is in the box, or the result cannot be written.
-pub fn crop_model(path: &Path, crop_to: CropTo, to: &Path) -> Result<ModelChange, Error> {
-    let mut model = Model::read(path)?;
+/// No point is in the box, or the result cannot be written.
+pub fn crop_model(
+    located: &LocatedModel,
+    crop_to: CropTo,
+    to: &Path,
+) -> Result<ModelChange, Error> {
+    let mut model = located.reconstruction.clone();
     let bounds = match crop_to {
         CropTo::Box(bounds) => Some(bounds),
-        CropTo::Quantiles(low, high) => BoundingBox::of_points(&model.reconstruction, low, high),
+        CropTo::Quantiles(low, high) => BoundingBox::of_points(&model, low, high),
     };
-    let points = model.reconstruction.num_tracks();
+    let points = model.num_tracks();
     if let Some(bounds) = bounds {
-        crop(&mut model.reconstruction, &bounds);
+        crop(&mut model, &bounds);
     }
-    if model.reconstruction.num_tracks() == 0 {
-        return Err(Error::EmptyCrop { path: model.folder, points });
+    if model.num_tracks() == 0 {
+        return Err(Error::EmptyCrop { path: located.folder().to_owned(), points });
     }
-    model.write(to, &model_files(&model.folder))
+    write(&located.changed(model), to, &located.files())
 }
 
 /// Merges models into the frame of the first one and writes the result to `to`. A model that has
@@ -426,40 +407,46 @@ pub fn crop_model(path: &Path, crop_to: CropTo, to: &Path) -> Result<ModelChange
 ///
 /// # Errors
 ///
-/// A model cannot be read, a model fits none of the others, or the result cannot be written.
-pub fn merge_models(paths: &[PathBuf], max_error_px: f64, to: &Path) -> Result<ModelChange, Error> {
-    let mut models = paths.iter().map(|path| Model::read(path)).collect::<Result<Vec<_>, _>>()?;
-    let inputs: Vec<PathBuf> = models.iter().flat_map(|model| model_files(&model.folder)).collect();
-    let mut first = models.remove(0);
+/// A model fits none of the others, or the result cannot be written.
+pub fn merge_models(
+    located: &LocatedModel,
+    others: &[LocatedModel],
+    max_error_px: f64,
+    to: &Path,
+) -> Result<ModelChange, Error> {
+    let all = std::iter::once(located).chain(others);
+    let inputs: Vec<PathBuf> = all.flat_map(LocatedModel::files).collect();
+    let mut first = located.reconstruction.clone();
+    let mut models: Vec<&LocatedModel> = others.iter().collect();
     let mut merged = Vec::new();
     while !models.is_empty() {
         let mut last_failure = None;
         let before = models.len();
         let mut left = Vec::new();
         for model in models {
-            let before_merge = first.reconstruction.clone();
-            let outcome =
-                merge_model(&mut first.reconstruction, &model.reconstruction, max_error_px)
-                    .map_err(Error::adjusting(&model.folder))?;
+            let before_merge = first.clone();
+            let outcome = merge_model(&mut first, &model.reconstruction, max_error_px)
+                .map_err(Error::adjusting(model.folder()))?;
             if let Some(similarity) = &outcome.alignment.reference_from_model {
                 let distance = mean_distance(&model.reconstruction, &before_merge, similarity);
                 merged.push(MergedInfo {
-                    path: model.folder,
+                    path: model.folder().to_owned(),
                     alignment: info_of(&outcome.alignment, distance),
                     new_images: outcome.new_images,
                     new_points: outcome.new_points,
                     merged_points: outcome.merged_points,
                 });
             } else {
-                last_failure = Some((model.folder.clone(), why_apart(&outcome.alignment)));
+                last_failure = Some((model.folder().to_owned(), why_apart(&outcome.alignment)));
                 left.push(model);
             }
         }
         models = left;
         if let Some((model, why)) = last_failure.filter(|_| models.len() == before) {
-            return Err(Error::NoAlignment { model, reference: first.folder, why });
+            let reference = located.folder().to_owned();
+            return Err(Error::NoAlignment { model, reference, why });
         }
     }
-    let change = first.write(to, &inputs)?;
+    let change = write(&located.changed(first), to, &inputs)?;
     Ok(ModelChange { merged, ..change })
 }

@@ -1,7 +1,7 @@
 //! A model with exact rig extrinsics, as COLMAP's rigs and frames express it.
 //!
-//! The initial extrinsics, the clocks and the incorrect pairs come from mapping (`rig.json`).
-//! Without that file, they come from the robust mean of the relative poses and
+//! The initial extrinsics, the clocks and the incorrect pairs come from mapping. For a model
+//! without a rig, they come from the robust mean of the relative poses and
 //! [`tiepoint_sfm::sensor_pairs`]. The images of a frame are those nearest in time. If the cameras
 //! are not synchronised, these were taken at different instants, and the motion in between becomes
 //! reprojection error; the report has its size.
@@ -10,20 +10,20 @@ use std::collections::BTreeSet;
 use std::path::Path;
 
 use serde::Serialize;
-use tiepoint_io::colmap::read_model;
 use tiepoint_sfm::geometry::nalgebra::{UnitQuaternion, Vector3};
 use tiepoint_sfm::geometry::{Rigid3, Sim3};
 use tiepoint_sfm::rig::{Clock, RelativePose, robust_average};
 use tiepoint_sfm::scene::{ImageId, Reconstruction};
 use tiepoint_sfm::{
-    AdjustOptions, ClockState, FilterOptions, MapperOptions, RefineIntrinsics, RigPair,
-    RigidCamera, SensorPair, constrain_rigidly, relative_poses, sensor_pairs,
+    AdjustOptions, ClockState, FilterOptions, MapperOptions, RigPair, RigidCamera, SensorPair,
+    constrain_rigidly, relative_poses, sensor_pairs,
 };
 
 use crate::Error;
-use crate::workspace::image_names::{camera_of_folder, folder_of};
-use crate::workspace::model_location::{ModelLocation, model_folder, read_times};
+use crate::workspace::image_names::{camera_of_stream, stream_of};
+use crate::workspace::located_model::LocatedModel;
 use crate::workspace::rig_file::{RigCamera, RigFile};
+use crate::workspace::sidecar::SIDECAR;
 
 /// The effect of exact rig extrinsics on a model.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -57,21 +57,17 @@ const MIN_PAIRS: usize = 2;
 /// Maximum number of Levenberg-Marquardt iterations.
 const ITERATIONS: usize = 100;
 
-/// Reads a model (a folder or a workspace) and adjusts it with exact rig extrinsics.
+/// Adjusts a model with exact rig extrinsics.
 ///
 /// # Errors
 ///
-/// The model or a file beside it cannot be read, no two cameras have poses at common frames, or the
+/// The rig names a camera that the model lacks, no two cameras have poses at common frames, or the
 /// adjustment fails.
-pub(crate) fn rigid_model(from: &Path) -> Result<(Reconstruction, RigidReport), Error> {
-    let folder = model_folder(from)?;
-    let location = ModelLocation::of(&folder);
-    let mut model = read_model(&folder)?;
-    read_times(&mut model, &location.timestamps())?;
-    let (known, bad) = if location.rig().is_file() {
-        known_sensors(&model, &location)?
-    } else {
-        (Vec::new(), BTreeSet::new())
+pub(crate) fn rigid_model(located: &LocatedModel) -> Result<(Reconstruction, RigidReport), Error> {
+    let mut model = located.reconstruction.clone();
+    let (known, bad) = match &located.rig {
+        Some(rig) => known_sensors(&model, rig, located.folder())?,
+        None => (Vec::new(), BTreeSet::new()),
     };
     let candidates = if known.is_empty() {
         sensor_pairs(&model).into_iter().map(|sensor_pair| (sensor_pair, None)).collect()
@@ -86,20 +82,18 @@ pub(crate) fn rigid_model(from: &Path) -> Result<(Reconstruction, RigidReport), 
         );
     }
     if cameras.is_empty() {
-        return Err(Error::NoRigFrames { path: from.to_owned() });
+        return Err(Error::NoRigFrames { path: located.folder().to_owned() });
     }
     let max_time_difference_s = time_difference_s(&model, &cameras);
     let mut cameras: Vec<RigidCamera> = cameras.into_iter().map(|(camera, _)| camera).collect();
     let (error_before_px, observations_before) =
         (model.mean_reprojection_error_px(), model.num_observations());
     let baseline = cameras[0].cam_from_rig.translation.norm();
-    location.add_calibration_facts(&mut model);
-    let are_known = location.has_known_intrinsics();
-    let refine = if are_known { RefineIntrinsics::NONE } else { MapperOptions::default().refine };
+    let refine = MapperOptions::default().refine;
     let options = AdjustOptions { refine, max_iterations: ITERATIONS, ..AdjustOptions::default() };
     let options = options.with_noise_of(&model);
     constrain_rigidly(&mut model, &mut cameras, &options, &FilterOptions::default())
-        .map_err(Error::adjusting(&folder))?;
+        .map_err(Error::adjusting(located.folder()))?;
     // The adjustment is free in scale. The baseline before may be metric.
     let factor = baseline / cameras[0].cam_from_rig.translation.norm();
     if factor.is_normal() {
@@ -110,7 +104,7 @@ pub(crate) fn rigid_model(from: &Path) -> Result<(Reconstruction, RigidReport), 
     let names =
         std::iter::once(cameras[0].reference).chain(cameras.iter().map(|camera| camera.other));
     let report = RigidReport {
-        cameras: names.map(|camera| folder_of(&model, camera)).collect(),
+        cameras: names.map(|camera| stream_of(&model, camera)).collect(),
         frames: model.frames.len(),
         images,
         free_images: model.num_registered() - images,
@@ -126,27 +120,25 @@ pub(crate) fn rigid_model(from: &Path) -> Result<(Reconstruction, RigidReport), 
 /// Pairs of the reference camera and another one with its clock, and `cam_from_rig` if it is known.
 type Sensors = Vec<(SensorPair, Option<Rigid3>)>;
 
-/// The cameras of the rig in `rig.json`, and the images of non-reference sensors in incorrect
+/// The cameras of the model's rig, and the images of non-reference sensors in incorrect
 /// pairs.
 ///
 /// # Errors
 ///
-/// The file cannot be read, is damaged, or names a camera that the model lacks.
+/// The rig names a camera that the model lacks.
 fn known_sensors(
     model: &Reconstruction,
-    location: &ModelLocation,
+    rig: &RigFile,
+    folder: &Path,
 ) -> Result<(Sensors, BTreeSet<ImageId>), Error> {
-    let rig = location.rig();
-    let broken = |what: String| Error::Broken { path: rig.clone(), what };
-    let text = std::fs::read(&rig).map_err(Error::unreadable(&rig))?;
-    let file = RigFile::from_json(&rig, &text)?;
     let find = |name: &str| {
-        let camera = camera_of_folder(model, name);
-        camera
-            .map(|(id, _)| id)
-            .ok_or_else(|| broken(format!("there is no camera {name} in the model")))
+        let camera = camera_of_stream(model, name);
+        camera.map(|(id, _)| id).ok_or_else(|| Error::Broken {
+            path: folder.join(SIDECAR),
+            what: format!("there is no camera {name} in the model"),
+        })
     };
-    let reference = find(&file.reference)?;
+    let reference = find(&rig.reference)?;
     let camera = |camera: &RigCamera| {
         let clock = &camera.clock;
         let (offset_s, drift, pivot_s) = (clock.offset_s, 1e-6 * clock.drift_ppm, clock.pivot_s);
@@ -156,8 +148,8 @@ fn known_sensors(
         };
         Ok((sensor_pair, Some(camera.cam_from_rig())))
     };
-    let cameras = file.cameras.iter().map(camera).collect::<Result<_, Error>>()?;
-    let names: BTreeSet<&str> = file.bad_pairs.iter().map(|[_, other]| other.as_str()).collect();
+    let cameras = rig.cameras.iter().map(camera).collect::<Result<_, Error>>()?;
+    let names: BTreeSet<&str> = rig.bad_pairs.iter().map(|[_, other]| other.as_str()).collect();
     let bad =
         model.images().filter(|(_, image)| names.contains(image.name.as_str())).map(|(id, _)| id);
     Ok((cameras, bad.collect()))

@@ -1,70 +1,31 @@
-//! Rolling shutters of a model on disk: the motion of its images, and the keypoints before their
+//! Rolling shutters of a finished model: the motion of its images, and the keypoints before their
 //! correction.
 //!
-//! Mapping with a rolling shutter stores the readout times in `report.json`. The motion of an image
-//! is a function of the poses and times of its camera, so that it is computed here anew.
+//! The motion of an image is a function of the poses, the times and the readout time of its camera,
+//! so that it is computed here anew.
 
 use std::collections::BTreeMap;
-use std::path::Path;
 
 use tiepoint_io::database::Database;
 use tiepoint_io::gsplat;
 use tiepoint_io::nerfstudio::Motion;
 use tiepoint_sfm::geometry::nalgebra::Vector2;
 use tiepoint_sfm::scene::{ImageId, Reconstruction};
-use tiepoint_sfm::{RollingShutter, RowPoses, row_poses};
+use tiepoint_sfm::{RowPoses, row_poses};
 
+use crate::Error;
 use crate::workspace::keypoints::keypoint;
-use crate::workspace::model_location::{ModelLocation, read_times};
-use crate::{Error, Report};
+use crate::workspace::located_model::LocatedModel;
 
-/// The readout times of a model in a folder of a workspace; none if it was mapped without a rolling
-/// shutter, or is in no workspace. Sets the times of the images, so that
-/// [`row_poses`](tiepoint_sfm::row_poses) has all it needs.
+/// The motion of the images of a model with rolling shutters.
 ///
 /// # Errors
 ///
-/// The report or the times cannot be read.
-pub fn rolling_shutters(
-    folder: &Path,
-    model: &mut Reconstruction,
-) -> Result<Vec<RollingShutter>, Error> {
-    let location = ModelLocation::of(folder);
-    let (report, index) = location.report();
-    if !report.is_file() {
-        return Ok(Vec::new());
-    }
-    let report = Report::read(&report)?;
-    let reported = report.models.get(index).map_or(&[][..], |model| &model.cameras);
-    let shutter = |(camera, of_model): (_, &tiepoint_sfm::scene::Camera)| {
-        let reported = reported.iter().find(|reported| {
-            model.original_ids.camera(camera) == u64::from(reported.id)
-                && (reported.width, reported.height) == (of_model.width, of_model.height)
-        })?;
-        let readout_s = reported.readout_s?;
-        Some(RollingShutter { camera, readout_s, readout_sd_s: reported.readout_sd_s })
-    };
-    let shutters: Vec<RollingShutter> = model.cameras().filter_map(shutter).collect();
-    if !shutters.is_empty() {
-        read_times(model, &location.timestamps())?;
-    }
-    Ok(shutters)
-}
-
-/// The motion of the images of a model with rolling shutters. Sets the times of the images.
-///
-/// # Errors
-///
-/// The report or the times cannot be read, or no image has a motion: the model was mapped without
-/// a rolling shutter, or is in no workspace.
-pub(crate) fn motions(
-    folder: &Path,
-    model: &mut Reconstruction,
-) -> Result<BTreeMap<ImageId, RowPoses>, Error> {
-    let shutters = rolling_shutters(folder, model)?;
-    let motions = row_poses(model, &shutters);
+/// No image has a motion: the model was mapped without a rolling shutter.
+pub(crate) fn motions(located: &LocatedModel) -> Result<BTreeMap<ImageId, RowPoses>, Error> {
+    let motions = row_poses(&located.reconstruction, &located.shutters);
     if motions.is_empty() {
-        return Err(Error::NoShutter { path: folder.to_owned() });
+        return Err(Error::NoShutter { path: located.folder().to_owned() });
     }
     Ok(motions)
 }
@@ -97,16 +58,14 @@ fn motion(rows: &RowPoses) -> Motion {
     }
 }
 
-/// Moves the keypoints of the registered images back to where they were detected.
+/// The model with the keypoints of its registered images where they were detected.
 ///
 /// # Errors
 ///
 /// The database of the workspace cannot be read, or has other images or keypoints.
-pub(crate) fn restore_detected_keypoints(
-    folder: &Path,
-    model: &mut Reconstruction,
-) -> Result<(), Error> {
-    let path = ModelLocation::of(folder).database();
+pub(crate) fn detected_keypoints(located: &LocatedModel) -> Result<Reconstruction, Error> {
+    let path = located.database();
+    let mut model = located.reconstruction.clone();
     let database = Database::open_read_only(&path)?;
     let images = database.read_images()?.into_iter().enumerate();
     let in_database: BTreeMap<String, ImageId> =
@@ -124,5 +83,5 @@ pub(crate) fn restore_detected_keypoints(
         let pixels: Vec<Vector2<f64>> = keypoints.iter().map(|k| keypoint(k).pixel).collect();
         model.move_keypoints(id, &pixels);
     }
-    Ok(())
+    Ok(model)
 }

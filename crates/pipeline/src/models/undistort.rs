@@ -10,14 +10,14 @@ use tiepoint_dense::undistort::{
 };
 use tiepoint_input::parallel::{budget_bytes, for_each_within_budget};
 use tiepoint_input::{Exif, Luma};
-use tiepoint_io::colmap::{Format, read_model};
+use tiepoint_io::colmap::Format;
 use tiepoint_sfm::scene::{Image, Reconstruction};
 use tiepoint_store::{OutputFolder, disk};
 
-use crate::models::rolling_shutter::restore_detected_keypoints;
+use crate::models::rolling_shutter::detected_keypoints;
 use crate::workspace::folder::refuse_workspace;
-use crate::workspace::model_location::model_folder;
-use crate::workspace::model_output::{model_files, model_names, refuse_shadow, stage_model};
+use crate::workspace::located_model::LocatedModel;
+use crate::workspace::model_output::{model_names, refuse_shadow, stage_model};
 use crate::workspace::model_photos::{ModelPhotos, decoder_bytes, undistorted_mask};
 use crate::{Error, Event, Watch, emit};
 
@@ -82,7 +82,7 @@ pub struct Undistorted {
     pub observations_lost: usize,
 }
 
-/// Writes the undistorted images of a model (a folder or a workspace) with their names, their
+/// Writes the undistorted images of a model with their names, their
 /// masks, and the model with PINHOLE cameras and undistorted keypoints. Images without a pose are
 /// left out. Masks are written if there are any; they are 0 also where a pixel has no source.
 ///
@@ -93,17 +93,16 @@ pub struct Undistorted {
 /// A camera has no PINHOLE camera, a photo or mask is missing or has another size, an option is out
 /// of its range, a file of the output is not this program's, or writing fails.
 pub fn undistort(
-    from: &Path,
+    from: &LocatedModel,
     to: &Path,
     options: &UndistortFolderOptions,
     watch: Watch,
 ) -> Result<Undistorted, Error> {
-    let folder = model_folder(from)?;
-    let mut model = read_model(&folder)?;
-    if options.has_detected_keypoints {
-        restore_detected_keypoints(&folder, &mut model)?;
-    }
-    let dense_error = |cause| Error::Dense { path: folder.clone(), cause };
+    let model = match options.has_detected_keypoints {
+        true => detected_keypoints(from)?,
+        false => from.reconstruction.clone(),
+    };
+    let dense_error = |cause| Error::Dense { path: from.folder().to_owned(), cause };
     options.camera.validate().map_err(dense_error)?;
     for (_, image, _) in model.registered() {
         if is_too_wide_for_pinhole(model.camera(image.camera)) {
@@ -113,7 +112,7 @@ pub fn undistort(
     let masks = options.masks.as_deref();
     let photos = match &options.images {
         Some(images) => ModelPhotos::below(images, &model, masks)?,
-        None => ModelPhotos::of_workspace(from, &model, masks)?,
+        None => ModelPhotos::of_workspace(from, masks)?,
     };
     // COLMAP does not turn photos, so that the cameras of its models have the stored size.
     let is_stored = options.layout == UndistortLayout::Colmap;
@@ -121,10 +120,10 @@ pub fn undistort(
     // First of all, as the size of a camera decides how long its undistortion takes.
     photos.check_sizes(&model)?;
     refuse_workspace(to)?;
-    refuse_shadow(from, &folder, to)?;
+    refuse_shadow(from.folder(), to)?;
     let undistorted = undistort_model(&model, &options.camera).map_err(dense_error)?;
     let mut output = OutputFolder::open(to)?;
-    let inputs = model_files(&folder);
+    let inputs = from.files();
     output.protect(inputs.iter().map(PathBuf::as_path).chain(photos.files(&model)));
     let images: Vec<&Image> = model.registered().map(|(_, image, _)| image).collect();
     let task = Task { model: &model, undistorted: &undistorted, photos: &photos, options };

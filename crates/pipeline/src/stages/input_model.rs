@@ -3,13 +3,12 @@
 use std::path::{Path, PathBuf};
 
 use tiepoint_input::fingerprint::hash_files;
-use tiepoint_io::colmap::read_model;
 use tiepoint_sfm::scene::Reconstruction;
 use tiepoint_sfm::{self as sfm, MapperOptions, RigMode, Transferred, transfer_model};
 
 use crate::Error;
 use crate::stages::option_keys;
-use crate::workspace::model_location::model_folder;
+use crate::workspace::located_model::{LocatedModel, model_folder};
 use crate::workspace::model_output::model_files;
 
 /// A COLMAP model whose images with their poses are the beginning of a map.
@@ -90,7 +89,7 @@ impl OpenedModel {
     ///
     /// The model cannot be read, or has no image in common with the scene.
     pub(crate) fn transfer(&self, scene: &Reconstruction) -> Result<Transferred, Error> {
-        let model = read_model(&self.folder)?;
+        let model = LocatedModel::open(&self.folder)?.reconstruction;
         transfer_model(scene, &model).map_err(|cause| self.error(cause))
     }
 

@@ -29,7 +29,7 @@ use crate::stages::warnings::warnings_of_models;
 use crate::workspace::database_scene::read_scene;
 use crate::workspace::file_names::{SPARSE, is_rig_name, model_path, rig_name};
 use crate::workspace::folder::{POINTS, rigs_in};
-use crate::workspace::model_output::{model_names, stage_model};
+use crate::workspace::model_output::{model_names, stage_with_sidecar};
 use crate::workspace::option_names;
 use crate::workspace::records::Recipe;
 use crate::workspace::report::{MapReport, ModelReport, ScaleReport};
@@ -558,17 +558,19 @@ fn stage_models(workspace: &Workspace, models: &[MappedModel]) -> Result<Vec<Str
     let Some(largest) = models.first() else { return Ok(names) };
     ply::write(&workspace.folder.stage(POINTS)?, &ply::points(&largest.reconstruction))?;
     names.push(POINTS.to_owned());
-    for (index, MappedModel { reconstruction, rig, .. }) in models.iter().enumerate() {
-        if let Some(rig) = rig.as_ref().and_then(|rig| RigFile::new(reconstruction, rig)) {
+    for (index, MappedModel { reconstruction, rig, shutters, .. }) in models.iter().enumerate() {
+        let rig = rig.as_ref().and_then(|rig| RigFile::new(reconstruction, rig));
+        if let Some(rig) = &rig {
             let name = rig_name(index);
             workspace.folder.stage_bytes(&name, &rig.to_json())?;
             names.push(name);
         }
-        names.extend(stage_model(
+        names.extend(stage_with_sidecar(
             &workspace.folder,
             Some(&model_path(index)),
             reconstruction,
             Format::Binary,
+            Some(&(shutters.clone(), rig)),
         )?);
     }
     Ok(names)
@@ -582,6 +584,7 @@ mod tests {
     use tiepoint_sfm::{CalibratedCamera, CalibratedRig, RigConstraint, RigPair, SensorPair};
 
     use super::*;
+    use crate::workspace::located_model::LocatedModel;
 
     /// A model of two cameras with this baseline and rig extrinsics.
     fn model(baseline: f64, has_bad_pair: bool) -> MappedModel {
@@ -640,11 +643,12 @@ mod tests {
             stage_models(&workspace, &[model(1.0, false), without, model(2.0, true)]).unwrap();
         workspace.publish(names, &[], |_| {}).unwrap();
         let rig = |index| {
-            let path =
-                crate::workspace::model_location::ModelLocation::of(&root.join(model_path(index)))
-                    .rig();
-            path.is_file()
-                .then(|| RigFile::from_json(&path, &std::fs::read(&path).unwrap()).unwrap())
+            let path = root.join(rig_name(index));
+            let text = path.is_file().then(|| std::fs::read(&path).unwrap());
+            let file = text.map(|text| serde_json::from_slice(&text).unwrap());
+            let located = LocatedModel::open(&root.join(model_path(index))).unwrap();
+            assert_eq!((&located.rig, located.note()), (&file, None));
+            file
         };
         let centre = |rig: &RigFile| rig.cameras[0].centre_in_rig[0];
         let [first, second, third] = [0, 1, 2].map(rig);

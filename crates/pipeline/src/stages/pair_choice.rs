@@ -142,7 +142,7 @@ fn similar_images(
     Ok(InvertedIndex::new(&vocabulary, &described).most_similar(count))
 }
 
-/// The pairs of an explicit selection. The images of a folder are a sequence, whatever settings its
+/// The pairs of an explicit selection. The images of a stream are a sequence, whatever settings its
 /// camera had; they are ordered by time if all times are known, else by name, numbers by value.
 fn selected(
     database: &Database,
@@ -152,21 +152,21 @@ fn selected(
     seed: u64,
 ) -> Result<Vec<(u32, u32)>, Error> {
     let images_of_all = images;
-    // Of each camera: the first camera in its folder, that of its first image.
+    // Of each camera: the first camera of its stream, that of its first image.
     let mut firsts: BTreeMap<u32, u32> = BTreeMap::new();
-    let mut first_in_folder: BTreeMap<&str, u32> = BTreeMap::new();
+    let mut first_of_stream: BTreeMap<&str, u32> = BTreeMap::new();
     for image in images {
         firsts
             .entry(image.camera.0)
-            .or_insert_with(|| *first_in_folder.entry(image.folder()).or_insert(image.camera.0));
+            .or_insert_with(|| *first_of_stream.entry(&*image.stream).or_insert(image.camera.0));
     }
-    let mut folders: BTreeMap<u32, Vec<(f64, u32)>> = BTreeMap::new();
+    let mut streams: BTreeMap<u32, Vec<(f64, u32)>> = BTreeMap::new();
     let are_timed = images.iter().all(|image| times.contains_key(&image.name));
     for (id, image) in (0..).zip(images) {
         let time_s = times.get(&image.name).copied().unwrap_or_default();
-        folders.entry(firsts[&image.camera.0]).or_default().push((time_s, id));
+        streams.entry(firsts[&image.camera.0]).or_default().push((time_s, id));
     }
-    let sequences = folders.into_values().map(|mut images| {
+    let sequences = streams.into_values().map(|mut images| {
         if !are_timed {
             let name = |id: u32| images_of_all[id as usize].name.as_str();
             images.sort_by(|a, b| natural_order(name(a.1), name(b.1)));

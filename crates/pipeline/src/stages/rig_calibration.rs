@@ -79,13 +79,13 @@ struct Photos {
 /// The photos of each camera of a rig.
 fn photos_of(cameras: &[CameraOnRig], scene: &Reconstruction) -> Result<Vec<Photos>, String> {
     let folders: BTreeSet<String> =
-        scene.images().map(|(_, image)| image.folder().to_owned()).collect();
+        scene.images().map(|(_, image)| image.stream.to_string()).collect();
     let listed = || folders.iter().map(String::as_str).collect::<Vec<_>>().join(", ");
     let in_folder = |folder: &str| Photos {
         what: format!("the photos of {folder}"),
         images: scene
             .images()
-            .filter(|(_, image)| image.folder() == folder)
+            .filter(|(_, image)| *image.stream == *folder)
             .map(|(id, image)| (file_name(&image.name).to_owned(), id))
             .collect(),
     };

@@ -13,7 +13,7 @@ use tiepoint_sfm::{
     CalibratedCamera, ExtrinsicsCovariance, MappedModel, ReferencedImage, SensorPair, sensor_pairs,
 };
 
-use crate::workspace::image_names::folder_of;
+use crate::workspace::image_names::stream_of;
 use crate::workspace::report::ScaleReport;
 
 /// Minimum number of frames for a mean relative pose.
@@ -68,7 +68,7 @@ type Baseline = (f64, String);
 /// The baseline of estimated rig extrinsics.
 fn extrinsics_baseline(model: &Reconstruction, camera: &CalibratedCamera) -> Baseline {
     let [reference, other] = [camera.sensor_pair.reference, camera.sensor_pair.other]
-        .map(|camera| folder_of(model, camera));
+        .map(|camera| stream_of(model, camera));
     (
         camera.cam_from_rig.translation.norm(),
         format!("the baseline from {reference} to {other} in the rig extrinsics"),
@@ -80,7 +80,7 @@ fn mean_baseline(model: &Reconstruction, known: &[SensorPair]) -> Result<Baselin
     let found = if known.is_empty() { sensor_pairs(model) } else { Vec::new() };
     let sensor_pair = known.iter().chain(&found).next().ok_or("there is only one camera")?;
     let [reference, other] =
-        [sensor_pair.reference, sensor_pair.other].map(|camera| folder_of(model, camera));
+        [sensor_pair.reference, sensor_pair.other].map(|camera| stream_of(model, camera));
     let images = sensor_pair.referenced_images(model);
     let pose = |image: &ReferencedImage| image.relative_pose(model, &sensor_pair.clock);
     let poses: Vec<RelativePose> = images.iter().filter_map(pose).collect();

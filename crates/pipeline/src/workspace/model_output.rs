@@ -9,6 +9,7 @@ use tiepoint_store::{Error as StoreError, OutputFolder, disk};
 
 use crate::Error;
 use crate::workspace::folder::refuse_workspace;
+use crate::workspace::sidecar::{SIDECAR, ShuttersAndRig, Sidecar};
 
 /// Stages a COLMAP model in a sub-folder (`None`: in the folder itself). Returns the names of its
 /// files in the order for [`OutputFolder::publish`].
@@ -43,6 +44,38 @@ pub fn stage_model(
     Ok(names)
 }
 
+/// [`stage_model`], with the sidecar of the model if more is known of it than COLMAP's files say.
+///
+/// # Errors
+///
+/// The model is invalid or cannot be written.
+pub(crate) fn stage_with_sidecar(
+    to: &OutputFolder,
+    folder: Option<&str>,
+    model: &Reconstruction,
+    format: Format,
+    known: Option<&ShuttersAndRig>,
+) -> Result<Vec<String>, Error> {
+    let mut names = stage_model(to, folder, model, format)?;
+    if let Some((shutters, rig)) = known {
+        let mut files = Vec::new();
+        for name in &names {
+            let file = name.rsplit('/').next().unwrap_or(name);
+            files.push((file.to_owned(), to.stage(name)?));
+        }
+        let sidecar = Sidecar::new(files, model, shutters, rig.clone())?;
+        let name = in_folder(folder, SIDECAR);
+        to.stage_bytes(&name, &sidecar.to_json())?;
+        // Beside the files of another model it counts for nothing.
+        names.insert(0, name);
+    }
+    Ok(names)
+}
+
+fn in_folder(folder: Option<&str>, name: &str) -> String {
+    folder.map_or_else(|| name.to_owned(), |folder| format!("{folder}/{name}"))
+}
+
 /// Replaces the path of a staged file, or folder of files, in an error by the final path.
 pub(crate) fn renamed(error: tiepoint_io::Error, staged: &Path, asked: &Path) -> Error {
     use tiepoint_store::Error as Store;
@@ -71,12 +104,11 @@ pub(crate) fn renamed(error: tiepoint_io::Error, staged: &Path, asked: &Path) ->
     })
 }
 
-/// Names of the files of a COLMAP model in this sub-folder, in both formats.
+/// Names of the files of a COLMAP model in this sub-folder, in both formats, and of its sidecar.
 pub fn model_names(folder: Option<&str>) -> Vec<String> {
-    let prefix = folder.map_or_else(String::new, |folder| format!("{folder}/"));
-    let names =
-        |format: Format| MODEL_FILES.map(|name| format!("{prefix}{name}.{}", format.suffix()));
-    Format::ALL.into_iter().flat_map(names).collect()
+    let names = |format: Format| MODEL_FILES.map(|name| format!("{name}.{}", format.suffix()));
+    let all = Format::ALL.into_iter().flat_map(names).chain([SIDECAR.to_owned()]);
+    all.map(|name| in_folder(folder, &name)).collect()
 }
 
 /// Writes a COLMAP model into a folder and replaces an earlier one of this program, no other.
@@ -86,7 +118,7 @@ pub fn model_names(folder: Option<&str>) -> Vec<String> {
 /// The folder is a workspace, a file of a model exists in it that is not this program's, or writing
 /// fails.
 pub fn write_model(to: &Path, model: &Reconstruction, format: Format) -> Result<(), Error> {
-    write_colmap(to, model, format, &[])
+    write_colmap(to, model, format, None, &[])
 }
 
 /// Checks that [`write_colmap`] may write into a folder, which is created.
@@ -107,7 +139,8 @@ fn model_output(to: &Path, inputs: &[PathBuf]) -> Result<OutputFolder, Error> {
     Ok(folder)
 }
 
-/// Writes a COLMAP model into a folder and replaces an earlier one of this program.
+/// Writes a COLMAP model into a folder, with its sidecar if more is known of it, and replaces an
+/// earlier one of this program.
 ///
 /// # Errors
 ///
@@ -116,11 +149,12 @@ pub(crate) fn write_colmap(
     to: &Path,
     model: &Reconstruction,
     format: Format,
+    known: Option<&ShuttersAndRig>,
     inputs: &[PathBuf],
 ) -> Result<(), Error> {
     let folder = &mut model_output(to, inputs)?;
     let names = model_names(None);
-    let staged = stage_model(folder, None, model, format)?;
+    let staged = stage_with_sidecar(folder, None, model, format, known)?;
     // Readers might prefer files of the other format.
     let removed: Vec<String> = names.into_iter().filter(|name| !staged.contains(name)).collect();
     folder.publish(&staged, &removed)?;
@@ -132,16 +166,17 @@ pub(crate) fn write_colmap(
 ///
 /// # Errors
 ///
-/// `to` is the folder of the model or the one that the caller named.
-pub(crate) fn refuse_shadow(from: &Path, model_folder: &Path, to: &Path) -> Result<(), Error> {
-    let there = FileId::of(to);
-    match there.is_some() && [from, model_folder].map(FileId::of).contains(&there) {
+/// `to` is the folder of the model, or one whose `sparse/0` is.
+pub(crate) fn refuse_shadow(model_folder: &Path, to: &Path) -> Result<(), Error> {
+    let there = FileId::of(model_folder);
+    let shadowed = [to.to_owned(), to.join("sparse/0")].map(|path| FileId::of(&path));
+    match there.is_some() && shadowed.contains(&there) {
         true => Err(StoreError::IsInput { path: to.to_owned() }.into()),
         false => Ok(()),
     }
 }
 
-/// Paths of all files that a COLMAP model in a folder may have.
+/// Paths of all files that a COLMAP model in a folder may have, and of its sidecar.
 pub fn model_files(folder: &Path) -> Vec<PathBuf> {
     model_names(None).iter().map(|name| folder.join(name)).collect()
 }

@@ -12,7 +12,7 @@ use tiepoint_sfm::scene::{Camera, Image, Reconstruction};
 
 use crate::Error;
 use crate::workspace::folder::{DATABASE, current_records, is_workspace};
-use crate::workspace::model_location::{ModelLocation, model_folder};
+use crate::workspace::located_model::LocatedModel;
 
 /// The photos of the registered images of a model, by name.
 pub(crate) struct ModelPhotos {
@@ -28,26 +28,19 @@ impl ModelPhotos {
     /// # Errors
     ///
     /// The model is in no workspace, a photo is gone, or there is no mask.
-    pub(crate) fn of_workspace(
-        from: &Path,
-        model: &Reconstruction,
-        masks: Option<&Path>,
-    ) -> Result<Self, Error> {
-        let root = match is_workspace(from) {
-            true => from.to_owned(),
-            false => ModelLocation::of(&model_folder(from)?).root().to_owned(),
+    pub(crate) fn of_workspace(model: &LocatedModel, masks: Option<&Path>) -> Result<Self, Error> {
+        let Some(root) = model.workspace() else {
+            return Err(Error::NoPhotos { path: model.folder().to_owned() });
         };
-        if !is_workspace(&root) {
-            return Err(Error::NoPhotos { path: from.to_owned() });
-        }
-        let inputs = current_records(&root)?.inputs;
+        let model = &model.reconstruction;
+        let inputs = current_records(root)?.inputs;
         let this = Self::new(ImageFolder::open(&inputs, masks)?);
         for (_, image, _) in model.registered() {
             if !this.index_of.contains_key(&image.name) {
                 return Err(Error::NoPhoto { image: image.name.clone(), inputs });
             }
         }
-        let known = fingerprints_of(&root)?;
+        let known = fingerprints_of(root)?;
         let photos: Vec<&str> =
             model.registered().map(|(_, image, _)| image.name.as_str()).collect();
         photos.par_iter().try_for_each(|image| match known.get(*image) {
@@ -165,13 +158,13 @@ pub fn is_unchanged(photo: &Path, known: &str) -> bool {
 ///
 /// Those of [`ModelPhotos::below`] and [`ModelPhotos::of_workspace`].
 pub(crate) fn photos_of<'a>(
-    from: &Path,
+    located: &'a LocatedModel,
     images: Option<&Path>,
-    model: &'a Reconstruction,
 ) -> Result<Vec<(&'a Image, PathBuf)>, Error> {
+    let model = &located.reconstruction;
     let photos = match images {
         Some(images) => ModelPhotos::below(images, model, None)?,
-        None => ModelPhotos::of_workspace(from, model, None)?,
+        None => ModelPhotos::of_workspace(located, None)?,
     };
     let photo = |image: &'a Image| (image, photos.path(&image.name).to_owned());
     Ok(model.registered().map(|(_, image, _)| photo(image)).collect())

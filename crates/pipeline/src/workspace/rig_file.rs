@@ -12,7 +12,7 @@ use tiepoint_sfm::{CalibratedCamera, CalibratedRig, ClockState, RigConstraint};
 
 use crate::Error;
 use crate::workspace::format;
-use crate::workspace::image_names::folder_of;
+use crate::workspace::image_names::stream_of;
 
 /// Largest accepted deviation of a quaternion's norm from 1: three digits are precise to less.
 const UNIT_TOLERANCE: f64 = 1e-2;
@@ -124,17 +124,15 @@ pub struct RigClock {
 }
 
 impl RigFile {
-    /// Parses the content of the file at `path`.
+    /// Checks what was read of a file at `path`.
     ///
     /// # Errors
     ///
-    /// The content is not JSON of this form or has another format, or a rotation is not a unit
-    /// quaternion.
-    pub(crate) fn from_json(path: &Path, text: &[u8]) -> Result<Self, Error> {
+    /// A camera is there twice, or a rotation is not a unit quaternion.
+    pub(crate) fn validate(&self, path: &Path) -> Result<(), Error> {
         let broken = |what: String| Error::Broken { path: path.to_owned(), what };
-        let file: Self = format::from_json(path, text, broken)?;
-        let mut names = BTreeSet::from([file.reference.as_str()]);
-        for RigCamera { name, rotation_wxyz, .. } in &file.cameras {
+        let mut names = BTreeSet::from([self.reference.as_str()]);
+        for RigCamera { name, rotation_wxyz, .. } in &self.cameras {
             if !names.insert(name) {
                 return Err(broken(format!("the camera {name} is there twice")));
             }
@@ -145,7 +143,7 @@ impl RigFile {
                 )));
             }
         }
-        Ok(file)
+        Ok(())
     }
 
     /// The content of the file.
@@ -155,7 +153,7 @@ impl RigFile {
 
     /// The extrinsics of a model's rig; `None` if none were estimated.
     pub(crate) fn new(model: &Reconstruction, rig: &CalibratedRig) -> Option<Self> {
-        let reference = folder_of(model, rig.cameras.first()?.sensor_pair.reference);
+        let reference = stream_of(model, rig.cameras.first()?.sensor_pair.reference);
         let name = |image| model.image(image).name.clone();
         Some(Self {
             reference,
@@ -188,7 +186,7 @@ impl RigCamera {
         };
         let is_estimated = camera.sensor_pair.clock_state == ClockState::Estimated;
         Self {
-            name: folder_of(model, camera.sensor_pair.other),
+            name: stream_of(model, camera.sensor_pair.other),
             rotation_wxyz: [q.w, q.i, q.j, q.k],
             translation: pose.translation.into(),
             centre_in_rig: pose.origin_in_a().into(),
@@ -215,58 +213,39 @@ impl RigCamera {
 mod tests {
     use super::*;
 
-    #[test]
-    fn a_camera_that_is_there_twice_is_refused() {
-        let read = |names: &[&str]| {
-            let rotation_wxyz = [1.0, 0.0, 0.0, 0.0];
-            let camera = |name: &&str| RigCamera {
-                name: (*name).to_owned(),
-                rotation_wxyz,
-                ..RigCamera::default()
-            };
-            let cameras = names.iter().map(camera).collect();
-            let file = RigFile { reference: "left".to_owned(), cameras, bad_pairs: Vec::new() };
-            RigFile::from_json(Path::new("ws/rig.json"), &file.to_json())
+    fn rig(names: &[&str], rotation_wxyz: [f64; 4]) -> RigFile {
+        let camera = |name: &&str| RigCamera {
+            name: (*name).to_owned(),
+            rotation_wxyz,
+            ..RigCamera::default()
         };
-        assert!(read(&["right", "rear"]).is_ok());
-        for (names, twice) in [(["right", "left"], "left"), (["right", "right"], "right")] {
-            let error = read(&names).unwrap_err().to_string();
-            let expected = format!("ws/rig.json: the camera {twice} is there twice");
-            assert!(error.contains(&expected), "{error}");
-        }
+        let cameras = names.iter().map(camera).collect();
+        RigFile { reference: "left".to_owned(), cameras, bad_pairs: Vec::new() }
     }
 
     #[test]
-    fn a_value_of_another_kind_is_named_without_a_type_of_the_code() {
-        let text = br#"{ "format": 1, "reference": "left", "cameras": ["right"] }"#;
-        let error = RigFile::from_json(Path::new("ws/rig.json"), text).unwrap_err().to_string();
-        assert!(error.contains("expected an object that describes a camera"), "{error}");
-        assert!(!error.contains("RigCamera"), "{error}");
+    fn a_camera_that_is_there_twice_is_refused() {
+        let check = |names: &[&str]| rig(names, [1.0, 0.0, 0.0, 0.0]).validate(Path::new("ws/a"));
+        assert!(check(&["right", "rear"]).is_ok());
+        for (names, twice) in [(["right", "left"], "left"), (["right", "right"], "right")] {
+            let error = check(&names).unwrap_err().to_string();
+            assert!(error.contains(&format!("ws/a: the camera {twice} is there twice")), "{error}");
+        }
     }
 
     #[test]
     fn rotation_that_is_not_a_unit_quaternion_is_rejected() {
-        let read = |rotation_wxyz| {
-            let camera =
-                RigCamera { name: "right".to_owned(), rotation_wxyz, ..RigCamera::default() };
-            let file = RigFile {
-                reference: "left".to_owned(),
-                cameras: vec![camera],
-                bad_pairs: Vec::new(),
-            };
-            RigFile::from_json(Path::new("ws/rig.json"), &file.to_json())
-        };
-        assert!(read([0.5, -0.5, 0.5, 0.5]).is_ok() && read([0.0, 0.707, 0.0, 0.707]).is_ok());
-        for none in
-            [[0.0; 4], [1e-9, 0.0, 0.0, 0.0], [1e200, 0.0, 0.0, 1e200], [2.0, 0.0, 0.0, 0.0]]
-        {
-            let error = read(none).unwrap_err().to_string();
-            assert!(
-                error.contains("ws/rig.json: the rotation of camera right has norm"),
-                "{error}"
-            );
+        let check = |rotation| rig(&["right"], rotation).validate(Path::new("ws/a"));
+        assert!(check([0.5, -0.5, 0.5, 0.5]).is_ok() && check([0.0, 0.707, 0.0, 0.707]).is_ok());
+        for none in [
+            [0.0; 4],
+            [1e-9, 0.0, 0.0, 0.0],
+            [1e200, 0.0, 0.0, 1e200],
+            [2.0, 0.0, 0.0, 0.0],
+            [f64::NAN; 4],
+        ] {
+            let error = check(none).unwrap_err().to_string();
+            assert!(error.contains("ws/a: the rotation of camera right has norm"), "{error}");
         }
-        // serde_json writes NaN as null, and rejects null when it reads a number.
-        assert!(read([f64::NAN; 4]).is_err());
     }
 }

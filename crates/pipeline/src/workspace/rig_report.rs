@@ -8,7 +8,7 @@ use tiepoint_sfm::{
     relative_poses, rig_pairs,
 };
 
-use crate::workspace::image_names::folder_of;
+use crate::workspace::image_names::stream_of;
 use crate::workspace::rig_file::{ConstraintKind, RigFile};
 
 /// Relative poses and extrinsics of two or more cameras with synchronous images.
@@ -185,7 +185,7 @@ fn camera_report(
     statistics: &RelativePoseStatistics,
 ) -> RigCameraReport {
     RigCameraReport {
-        names: cameras.map(|camera| folder_of(model, camera)),
+        names: cameras.map(|camera| stream_of(model, camera)),
         pairs,
         reconstructed_pairs: statistics.count,
         median_baseline: statistics.median_baseline,

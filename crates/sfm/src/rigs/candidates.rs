@@ -1,8 +1,9 @@
 //! The cameras that may be mounted on a rig.
 //!
-//! The images of a camera of a rig have a folder of their own. Further cameras in that folder are
-//! other settings of its body (another zoom, held upright, another resolution): their images take
-//! turns with those of the first and were never taken at the same instants.
+//! The images of a camera of a rig are a stream of their own ([`tiepoint_scene::Image::stream`]).
+//! Further cameras of that stream are other settings of its body (another zoom, held upright,
+//! another resolution): their images take turns with those of the first and were never taken at the
+//! same instants.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -10,14 +11,14 @@ use tiepoint_scene::{CameraId, ImageId, Reconstruction};
 
 use crate::timeline::images_of_cameras;
 
-/// Returns the images of the cameras that may be on a rig: in each folder the camera with the most
-/// images, the first of these. The folder of a camera is that of its first image.
+/// Returns the images of the cameras that may be on a rig: of each stream the camera with the
+/// most images, the first of these. The stream of a camera is that of its first image.
 pub fn rig_candidates(scene: &Reconstruction) -> BTreeMap<CameraId, Vec<ImageId>> {
     let mut images = images_of_cameras(scene);
     let mut most: BTreeMap<&str, (usize, CameraId)> = BTreeMap::new();
     for (&camera, images) in &images {
         let Some(first) = images.first() else { continue };
-        let best = most.entry(scene.image(*first).folder()).or_insert((0, camera));
+        let best = most.entry(&*scene.image(*first).stream).or_insert((0, camera));
         if images.len() > best.0 {
             *best = (images.len(), camera);
         }
@@ -35,7 +36,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_folder_has_one_camera_of_a_rig() {
+    fn a_stream_has_one_camera_of_a_rig() {
         let mut scene = Reconstruction::default();
         for names in [&["left/0"][..], &["left/1", "left/2"], &["right/0", "right/2"], &["right/1"]]
         {

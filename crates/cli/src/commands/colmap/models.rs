@@ -8,6 +8,7 @@ use tiepoint_colmap::{
 use tiepoint_pipeline::io::colmap::Format;
 use tiepoint_pipeline::models::model_info;
 
+use super::super::open_model;
 use super::mapping::refine;
 use super::options::Options;
 use crate::failure::Failure;
@@ -92,7 +93,7 @@ pub(super) fn model_aligner(options: &Options, output: &Output) -> Result<(), Fa
 /// The lines are those of COLMAP, which scripts parse.
 pub(super) fn model_analyzer(options: &Options, output: &Output) -> Result<(), Failure> {
     let path = options.required("path").map_err(Failure::Usage)?;
-    let info = model_info(&path)?;
+    let info = model_info(&open_model(&path, output)?);
     output.result(&info, || {
         format!(
             "Cameras: {}\nImages: {}\nRegistered images: {}\nPoints: {}\nObservations: {}\n\

@@ -4,6 +4,7 @@ use tiepoint_pipeline::models::{
     UndistortFolderOptions, UndistortLayout, UndistortOptions, undistort,
 };
 
+use super::super::open_model;
 use super::options::Options;
 use crate::failure::Failure;
 use crate::output::Output;
@@ -25,6 +26,7 @@ pub(super) fn image_undistorter(options: &Options, output: &Output) -> Result<()
         layout: UndistortLayout::Colmap,
         ..UndistortFolderOptions::default()
     };
+    let from = open_model(&from, output)?;
     let mut progress = Progress::new(output);
     let found = undistort(&from, &to, &options, &mut |event| progress.watch(event))?;
     drop(progress);

@@ -19,7 +19,7 @@ use tiepoint_dense::undistort::{UndistortOptions, Undistortion, undistort_model}
 use tiepoint_dense::{Grey, PosedPinhole, StereoProblem, select_views};
 use tiepoint_input::images::DepthScale;
 use tiepoint_input::{Luma, Rgb};
-use tiepoint_io::colmap::{Format, read_model};
+use tiepoint_io::colmap::Format;
 use tiepoint_io::{DenseMap, FusedPly, FusedVisibility};
 use tiepoint_sfm::scene::{Image, ImageId, Reconstruction};
 
@@ -27,6 +27,7 @@ use self::masks::Masks;
 use crate::stages::dense::options::DenseOptions;
 use crate::stages::option_keys;
 use crate::workspace::file_names::{DENSE, DENSE_CLOUD, depth_map_path, model_path};
+use crate::workspace::located_model::LocatedModel;
 use crate::workspace::model_output::{model_names, stage_model};
 use crate::workspace::model_photos::{check_sizes, photos_of, write_undistorted};
 use crate::workspace::records::Recipe;
@@ -78,16 +79,17 @@ fn estimate_and_fuse(
 ) -> Result<StageResult, Error> {
     let workspace = &mut *stage.workspace;
     let folder = workspace.root().join(model_path(0));
-    let model = read_model(&folder)?;
-    let photos = photos_of(workspace.root(), None, &model)?;
+    let located = LocatedModel::open(&folder)?;
+    let photos = photos_of(&located, None)?;
+    let model = &located.reconstruction;
     // Before old results are removed, which bad photos would not replace.
-    check_sizes(&photos, &model)?;
+    check_sizes(&photos, model)?;
     for (image, _) in &photos {
         masks.as_ref().map_or(Ok(()), |masks| masks.check(&image.name))?;
     }
     let undistort =
         UndistortOptions { max_image_size: options.max_image_size, ..UndistortOptions::default() };
-    let undistorted = undistort_model(&model, &undistort)
+    let undistorted = undistort_model(model, &undistort)
         .map_err(|cause| Error::Dense { path: folder.clone(), cause })?;
     let problems = select_views(&undistorted, options.sources);
     if problems.iter().all(|problem| problem.sources.is_empty() || problem.seeds.is_empty()) {
@@ -107,7 +109,7 @@ fn estimate_and_fuse(
     run.write_model()?;
     for (index, (image, photo)) in photos.iter().enumerate() {
         if !run.is_undistorted(index)? {
-            run.undistort(index, image, &model, photo)?;
+            run.undistort(index, image, model, photo)?;
             run.done(DenseStep::Undistort, index, stage.watch)?;
         }
     }
