@@ -1,5 +1,5 @@
-//! `tiepoint.json` beside a model, through the exports that use it: no number of Kalibr's file is NaN
-//! or infinite.
+//! `tiepoint.json` beside a model, through the exports that use it: no number of Kalibr's file is
+//! NaN or infinite.
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;

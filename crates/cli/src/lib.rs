@@ -6,6 +6,7 @@ mod call;
 mod commands;
 mod describe;
 mod failure;
+mod finished_model;
 mod interrupt;
 mod message;
 mod output;

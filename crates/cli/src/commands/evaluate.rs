@@ -6,8 +6,8 @@ use tiepoint_pipeline::eval::{Alignment, find_alignment};
 use tiepoint_pipeline::evaluation::{evaluate_cloud, evaluate_poses, read_cloud};
 
 use crate::args::{EvaluateCloud, EvaluatePoses};
-use crate::commands::open_model;
 use crate::failure::Failure;
+use crate::finished_model::open_model;
 use crate::output::Output;
 use crate::summary;
 

@@ -5,8 +5,8 @@ use std::fmt::Write;
 use tiepoint_pipeline::models::{LocalizeOptions, LocalizeReport, localize as localize_photos};
 
 use crate::args::Localize;
-use crate::commands::open_model;
 use crate::failure::Failure;
+use crate::finished_model::open_model;
 use crate::output::{Output, printable};
 use crate::progress::Progress;
 

@@ -15,23 +15,10 @@ mod synth;
 mod undistort;
 mod view;
 
-use std::path::Path;
-
-use tiepoint_pipeline::workspace::LocatedModel;
-
 use crate::args::{Command, Evaluate};
 use crate::failure::Failure;
 use crate::output::Output;
 pub(crate) use colmap::with_name;
-
-/// Opens a finished model. Warns if another program has changed it since.
-fn open_model(path: &Path, output: &Output) -> Result<LocatedModel, Failure> {
-    let model = LocatedModel::open(path)?;
-    if let Some(note) = model.note() {
-        output.warning(note);
-    }
-    Ok(model)
-}
 
 pub(crate) fn run(command: Command, output: &Output) -> Result<(), Failure> {
     match command {

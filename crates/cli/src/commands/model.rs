@@ -9,8 +9,8 @@ use tiepoint_pipeline::models::{
 };
 
 use crate::args::{AlignModel, CropModel, MergeModels, ModelCommand};
-use crate::commands::open_model;
 use crate::failure::Failure;
+use crate::finished_model::open_model;
 use crate::output::Output;
 
 pub(crate) fn model(command: &ModelCommand, output: &Output) -> Result<(), Failure> {

@@ -6,8 +6,8 @@ use tiepoint_pipeline::models::{
 };
 
 use crate::args::Undistort;
-use crate::commands::open_model;
 use crate::failure::Failure;
+use crate::finished_model::open_model;
 use crate::output::Output;
 use crate::progress::Progress;
 

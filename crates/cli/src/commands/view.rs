@@ -4,8 +4,8 @@ use serde::Serialize;
 use tiepoint_report::view as write_report;
 
 use crate::args::View;
-use crate::commands::open_model;
 use crate::failure::Failure;
+use crate::finished_model::open_model;
 use crate::output::Output;
 
 pub(crate) fn view(args: &View, output: &Output) -> Result<(), Failure> {

@@ -153,7 +153,7 @@ fn photos_are_localized_in_a_model_that_does_not_change() {
     assert!(lines[ALL].starts_with("2 of 7 photos have a pose"), "{text}");
 
     // Bad input.
-    run(dir.path(), "localize {}/new {}/new -o []/x").failed(1, &["new", "no database.db"]);
+    run(dir.path(), "localize {}/new {}/new -o []/x").failed(1, &["new", "cameras"]);
     run(dir.path(), "localize {}/ws []/nothing -o []/x").failed(1, &["nothing", "No such file"]);
     run(dir.path(), "localize {}/ws {}/new -o {}/ws").failed(1, &["is read by this command"]);
     run(dir.path(), "localize {}/ws {}/new -o []/x --intrinsics 1,2").failed(2, &["2 numbers"]);

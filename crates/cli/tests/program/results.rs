@@ -170,6 +170,33 @@ fn photos_become_a_model_and_a_second_run_keeps_it() {
     assert!(dir.join("adjusted/images.bin").is_file());
 }
 
+/// Checks that what stands beside a model and belongs to another one, or was written by another
+/// version, is not used, and that this is said.
+fn what_belongs_to_another_model_is_not_used(dir: &Path) {
+    let sidecar = dir.join("ws/sparse/0/tiepoint.json");
+    let good = fs::read_to_string(&sidecar).unwrap();
+    let hash = good.find("\"images.bin\": \"").unwrap() + 15;
+    let mut of_another = good.clone();
+    of_another.replace_range(hash..hash + 4, "beef");
+    for (other, how) in [
+        (good.replacen("\"format\": 1", "\"format\": 2", 1), "has format 2"),
+        (of_another, "another program has changed the model since"),
+    ] {
+        assert_ne!(other, good);
+        fs::write(&sidecar, &other).unwrap();
+        tiepoint_in(dir, "export {}/ws --to kalibr -o {}/other.yaml").failed(1, &["has no rig"]);
+        let said = tiepoint_in(dir, "export {}/ws --to colmap -o {}/other").done().stderr();
+        assert!(
+            said.contains("sparse/0/tiepoint.json is not used") && said.contains(how),
+            "{said}"
+        );
+        assert!(!dir.join("other/tiepoint.json").exists());
+        assert_eq!(fs::read_to_string(&sidecar).unwrap(), other);
+        assert!(!dir.join("other.yaml").exists());
+    }
+    fs::write(&sidecar, good).unwrap();
+}
+
 /// Checks --baseline and --rigid in a workspace with three frames of two cameras.
 fn baseline_sets_the_scale_and_rigid_export_has_frames(dir: &Path) {
     // The cameras are 0.7 m apart; the accuracy at 240 lines is a few millimetres.
@@ -221,30 +248,7 @@ fn baseline_sets_the_scale_and_rigid_export_has_frames(dir: &Path) {
             given.rotation.angle_to(&pose(1).rotation) < 1e-9 && frame.rig_from_world == pose(0)
         );
     }
-    // What belongs to another model, or was written by another version, is not used, and that is
-    // said.
-    let sidecar = dir.join("ws/sparse/0/tiepoint.json");
-    let good = fs::read_to_string(&sidecar).unwrap();
-    let hash = good.find("\"images.bin\": \"").unwrap() + 15;
-    let mut of_another = good.clone();
-    of_another.replace_range(hash..hash + 4, "beef");
-    for (other, how) in [
-        (good.replacen("\"format\": 1", "\"format\": 2", 1), "has format 2"),
-        (of_another, "another program has changed the model since"),
-    ] {
-        assert_ne!(other, good);
-        fs::write(&sidecar, &other).unwrap();
-        tiepoint_in(dir, "export {}/ws --to kalibr -o {}/other.yaml").failed(1, &["has no rig"]);
-        let said = tiepoint_in(dir, "export {}/ws --to colmap -o {}/other").done().stderr();
-        assert!(
-            said.contains("sparse/0/tiepoint.json is not used") && said.contains(how),
-            "{said}"
-        );
-        assert!(!dir.join("other/tiepoint.json").exists());
-        assert_eq!(fs::read_to_string(&sidecar).unwrap(), other);
-        assert!(!dir.join("other.yaml").exists());
-    }
-    fs::write(&sidecar, good).unwrap();
+    what_belongs_to_another_model_is_not_used(dir);
     // After adjustment the model is still rigid and valid; --fix-intrinsics keeps the intrinsics.
     for (options, are_fixed) in [("", false), ("--fix-intrinsics", true)] {
         let adjusted = format!("adjusted{options}");

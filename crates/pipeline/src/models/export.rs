@@ -195,11 +195,7 @@ fn write_as(
         }
         ExportFormat::Gsplat => in_place = export_gsplat(from, to)?,
         ExportFormat::Kalibr => {
-            let rig = located.rig.as_ref().ok_or_else(|| Error::NoRig { path: folder() })?;
-            let (text, cameras) = kalibr::camchain(model, rig).map_err(|name| Error::Broken {
-                path: located.folder().join(SIDECAR),
-                what: format!("there is no camera {name} in the model"),
-            })?;
+            let (text, cameras) = camchain(located)?;
             let text = format!("{COMMENT}\n{text}");
             file(Some(COMMENT_MARK), &|to| {
                 Ok(AtomicFile::write_with(to, |out| out.write_all(text.as_bytes()))?)
@@ -252,6 +248,16 @@ fn write_as(
         }
     }
     Ok(Exported { path: to.to_owned(), poses, points, photos_in_place: in_place, rigid: None })
+}
+
+/// Kalibr's file of the rig of a model, and the number of its cameras.
+fn camchain(located: &LocatedModel) -> Result<(String, usize), Error> {
+    let no_rig = || Error::NoRig { path: located.folder().to_owned() };
+    let rig = located.rig.as_ref().ok_or_else(no_rig)?;
+    kalibr::camchain(&located.reconstruction, rig).map_err(|name| Error::Broken {
+        path: located.folder().join(SIDECAR),
+        what: format!("there is no camera {name} in the model"),
+    })
 }
 
 /// Writes a cloud as LAS or LAZ. Returns the number of points.

@@ -149,8 +149,8 @@ impl LocatedModel {
         Self { reconstruction, rig: None, ..self.clone() }
     }
 
-    /// Writes the model into a folder in the format that it was read in, and replaces an earlier one
-    /// of this program. No file of `inputs` is replaced.
+    /// Writes the model into a folder in the format that it was read in, and replaces an earlier
+    /// one of this program. No file of `inputs` is replaced.
     ///
     /// # Errors
     ///

@@ -8,10 +8,10 @@ use tiepoint_colmap::{
 use tiepoint_pipeline::io::colmap::Format;
 use tiepoint_pipeline::models::model_info;
 
-use super::super::open_model;
 use super::mapping::refine;
 use super::options::Options;
 use crate::failure::Failure;
+use crate::finished_model::open_model;
 use crate::output::Output;
 use crate::progress::Progress;
 

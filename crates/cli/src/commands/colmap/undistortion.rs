@@ -4,9 +4,9 @@ use tiepoint_pipeline::models::{
     UndistortFolderOptions, UndistortLayout, UndistortOptions, undistort,
 };
 
-use super::super::open_model;
 use super::options::Options;
 use crate::failure::Failure;
+use crate::finished_model::open_model;
 use crate::output::Output;
 use crate::progress::Progress;
 
