@@ -4,6 +4,7 @@
 #![allow(clippy::unwrap_used)]
 
 mod architecture;
+mod flags;
 mod functions;
 mod lines;
 mod metadata;

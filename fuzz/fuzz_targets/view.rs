@@ -24,7 +24,7 @@ fuzz_target!(|data: &[u8]| {
     files(&model, &names, data);
     let ws = dir.join("ws");
     let Ok(model) = LocatedModel::open(&ws) else { return };
-    if let Ok(page) = view(&model, &ws) {
+    if let Ok(page) = view(&model, &ws, &str::to_owned) {
         let text = std::fs::read_to_string(page).expect("it was written");
         // The data stand in a script: a name must not end it.
         assert_eq!(text.matches("</script").count(), tiepoint_fuzz::SCRIPTS);

@@ -10,6 +10,7 @@ use clap::Parser;
 
 use crate::args::Cli;
 use crate::failure::Failure;
+use crate::hints::{Reader, for_reader};
 use crate::interrupt::Interrupt;
 use crate::message::Message;
 use crate::output::{Output, one_sentence, shortened};
@@ -56,8 +57,11 @@ impl Call {
     /// The arguments are invalid or ask for help, or the system refuses a thread.
     pub fn start(arguments: impl IntoIterator<Item = OsString>) -> Result<Self, Failed> {
         let program = OsString::from(env!("CARGO_PKG_NAME"));
-        let cli = Cli::try_parse_from(std::iter::once(program).chain(arguments))
-            .map_err(|error| Failed::Usage(one_sentence(&error.render().to_string())))?;
+        let cli =
+            Cli::try_parse_from(std::iter::once(program).chain(arguments)).map_err(|error| {
+                let message = one_sentence(&error.render().to_string());
+                Failed::Usage(for_reader(&message, Reader::Keywords).into_owned())
+            })?;
         let interrupt = Arc::new(Interrupt::new(signals::stage_to_redo(&cli.command)));
         let (sender, messages) = mpsc::channel();
         let output = Output::to_caller(sender, Arc::clone(&interrupt));
@@ -113,9 +117,10 @@ impl Call {
 
 impl From<Failure> for Failed {
     fn from(failure: Failure) -> Self {
+        let shown = |message: &str| shortened(&for_reader(message, Reader::Keywords)).into_owned();
         match failure {
-            Failure::Usage(message) => Self::Usage(shortened(&message).into_owned()),
-            Failure::CouldNot(message) => Self::CouldNot(shortened(&message).into_owned()),
+            Failure::Usage(message) => Self::Usage(shown(&message)),
+            Failure::CouldNot(message) => Self::CouldNot(shown(&message)),
             Failure::Cancelled => Self::Cancelled,
         }
     }

@@ -7,6 +7,7 @@ mod commands;
 mod describe;
 mod failure;
 mod finished_model;
+mod hints;
 mod interrupt;
 mod message;
 mod output;

@@ -8,6 +8,7 @@ use std::sync::mpsc::Sender;
 use serde::Serialize;
 
 use crate::failure::Failure;
+use crate::hints::{Reader, for_reader};
 use crate::interrupt::Interrupt;
 use crate::message::Message;
 
@@ -43,9 +44,10 @@ impl Output {
     pub(crate) fn progress(&self, event: &impl Serialize) -> bool {
         match &self.destination {
             Destination::Text => return false,
-            Destination::Json => line_to_stderr(&json_line(event)),
+            Destination::Json => line_to_stderr(&self.for_reader(&json_line(event))),
             Destination::Caller(caller) => {
-                let _ = caller.send(Message::Progress(json_line(event)));
+                let line = self.for_reader(&json_line(event)).into_owned();
+                let _ = caller.send(Message::Progress(line));
             }
         }
         true
@@ -61,7 +63,9 @@ impl Output {
         value: &impl Serialize,
         text: impl FnOnce() -> String,
     ) -> Result<(), Failure> {
-        self.write(value, || text().split_inclusive('\n').map(printable_line).collect())
+        let printable = || text().split_inclusive('\n').map(printable_line).collect::<String>();
+        let shown = || self.for_reader(&printable()).into_owned();
+        self.write(value, shown, |json| self.for_reader(&json).into_owned())
     }
 
     /// Writes a text that the program itself generated to stdout: `value` as one JSON object, or
@@ -75,30 +79,46 @@ impl Output {
         value: &T,
         text: impl FnOnce(&T) -> &str,
     ) -> Result<(), Failure> {
-        self.write(value, || text(value).to_owned())
+        self.write(value, || text(value).to_owned(), |json| json)
     }
 
-    fn write(&self, value: &impl Serialize, text: impl FnOnce() -> String) -> Result<(), Failure> {
+    fn write(
+        &self,
+        value: &impl Serialize,
+        text: impl FnOnce() -> String,
+        shown: impl FnOnce(String) -> String,
+    ) -> Result<(), Failure> {
         match &self.destination {
             Destination::Text => write_result(&text()),
-            Destination::Json => write_result(&(json_line(value) + "\n")),
+            Destination::Json => write_result(&(shown(json_line(value)) + "\n")),
             Destination::Caller(caller) => {
-                let _ = caller.send(Message::Result(json_line(value)));
+                let _ = caller.send(Message::Result(shown(json_line(value))));
                 Ok(())
             }
         }
+    }
+
+    /// A text with the names of options and stages that its reader knows.
+    pub(crate) fn for_reader<'a>(&self, text: &'a str) -> Cow<'a, str> {
+        let reader = match &self.destination {
+            Destination::Text | Destination::Json => Reader::CommandLine,
+            Destination::Caller(_) => Reader::Keywords,
+        };
+        for_reader(text, reader)
     }
 
     /// Writes a warning to stderr, on one line.
     pub(crate) fn warning(&self, message: &str) {
         let event = serde_json::json!({ "event": "warning", "message": shortened(message) });
         if !self.progress(&event) {
-            line_to_stderr(&printable(&format!("tiepoint: {}", shortened(message))));
+            let line = format!("tiepoint: {}", shortened(message));
+            line_to_stderr(&printable(&self.for_reader(&line)));
         }
     }
 
     /// Writes an error message to stderr, on one line.
     pub(crate) fn error(&self, message: &str) {
+        let message = &*self.for_reader(message);
         let message = &*shortened(message);
         match &self.destination {
             Destination::Json => line_to_stderr(&json_line(

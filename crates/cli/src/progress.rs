@@ -151,7 +151,7 @@ impl Progress {
 
     /// Prints a line above the bar, where it stays.
     fn print_line(&self, line: &str) {
-        self.bar.suspend(|| line_to_stderr(&printable(line)));
+        self.bar.suspend(|| line_to_stderr(&printable(&self.output.for_reader(line))));
     }
 }
 

@@ -41,8 +41,9 @@ pub enum Error {
     },
     /// Photos that are asked to share a camera have different sizes.
     #[error(
-        "--cameras {grouping} makes {first} and {other} one camera, but the first is {first_size} \
-        and the other {other_size}: leave the option out, or give --cameras image"
+        "`features.cameras` {grouping} makes {first} and {other} one camera, but the first is \
+        {first_size} and the other {other_size}: leave the option out, or give \
+        `features.cameras` image"
     )]
     TwoSizes {
         /// Which photos share a camera.
@@ -58,8 +59,8 @@ pub enum Error {
     },
     /// Known intrinsics were given for photos of several sizes.
     #[error(
-        "--intrinsics are those of one image size, but {first} is {first_size} and {other} is \
-        {other_size}: give a file with each camera by --calibration"
+        "`features.intrinsics` are those of one image size, but {first} is {first_size} and \
+        {other} is {other_size}: give a file with each camera by `features.calibration`"
     )]
     IntrinsicsOfSizes {
         /// A photo.
@@ -72,15 +73,15 @@ pub enum Error {
         other_size: Size,
     },
     /// Known intrinsics of all cameras do not fit the photos.
-    #[error("--intrinsics: {what}")]
+    #[error("`features.intrinsics`: {what}")]
     Intrinsics {
         /// The contradiction.
         what: String,
     },
     /// No lens has the given focal length.
     #[error(
-        "--focal-prior: no lens has a focal length of {focal_px:.3e} pixels at {image}, which has \
-        {size}: give between 0.1 and 150 times the longer side, or leave the option out"
+        "`features.focal_prior`: no lens has a focal length of {focal_px:.3e} pixels at {image}, \
+        which has {size}: give between 0.1 and 150 times the longer side, or leave the option out"
     )]
     FocalPrior {
         /// The focal length, in pixels of the photo.

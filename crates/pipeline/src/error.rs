@@ -24,7 +24,7 @@ pub enum Error {
     #[error(transparent)]
     Store(#[from] tiepoint_store::Error),
     /// The folder is not a workspace.
-    #[error("{path} is not a workspace: create one with `tiepoint features INPUT -o {path}`")]
+    #[error("{path} is not a workspace: make one of photos by `stage.features`")]
     NoWorkspace {
         /// The folder.
         path: PathBuf,
@@ -74,7 +74,7 @@ pub enum Error {
         known: u64,
     },
     /// The database is damaged.
-    #[error("{cause}: give --redo features to make {path} again")]
+    #[error("{cause}: give `stage.redo` features to make {path} again")]
     BrokenDatabase {
         /// The file.
         path: PathBuf,
@@ -84,7 +84,7 @@ pub enum Error {
     /// No two registered images of the model share points, so that there is nothing to match.
     #[error(
         "no two of the {images} registered images of {path} share enough points for a depth map: \
-        run `tiepoint map` with images that overlap"
+        run `stage.map` with images that overlap"
     )]
     NothingDense {
         /// The model.
@@ -102,8 +102,8 @@ pub enum Error {
     },
     /// The models were computed from features or matches that have been replaced.
     #[error(
-        "the models in {path} were made before its current features or matches: run `tiepoint \
-        map {path}`, or give {path}/sparse/0 to use the old models"
+        "the models in {path} were made before its current features or matches: run `stage.map` \
+        again, or give {path}/sparse/0 to use the old models"
     )]
     StaleModels {
         /// The workspace.
@@ -112,15 +112,15 @@ pub enum Error {
     /// The capture times are not those that the feature stage wrote.
     #[error(
         "{path} has been changed or removed since it was written: move it away, and give your \
-        times to `tiepoint features` with --timestamps FILE.csv --redo features, from a file \
-        outside the workspace"
+        times to `stage.features` with `features.timestamps` FILE.csv `stage.redo` features, \
+        from a file outside the workspace"
     )]
     ChangedTimes {
         /// The file.
         path: PathBuf,
     },
     /// An earlier stage, which this one needs, is not complete.
-    #[error("{path} has no {products} yet: run `tiepoint {stage}` \
+    #[error("{path} has no {products} yet: run `stage.{stage}` \
     first", products = stage.products())]
     Missing {
         /// The workspace.
@@ -130,8 +130,8 @@ pub enum Error {
     },
     /// The model has no rig: mapping estimated no rig extrinsics.
     #[error(
-        "{path} has no rig, because it was mapped without rig extrinsics: map with --rig soft, \
-        rigid or auto"
+        "{path} has no rig, because it was mapped without rig extrinsics: map with `mapper.rig` \
+        soft, rigid or auto"
     )]
     NoRig {
         /// The folder of the model.
@@ -140,22 +140,25 @@ pub enum Error {
     /// No two cameras have poses at common frames, so that rig extrinsics are undetermined.
     #[error(
         "{path} has no two cameras with poses at common frames, so no rig can be made of it: \
-        leave out --rigid"
+        leave out `export.rigid`"
     )]
     NoRigFrames {
         /// The model.
         path: PathBuf,
     },
     /// `--rigid` was given with a format that holds no poses.
-    #[error("{path} would hold the rig's calibration only, as in rig.json: leave out --rigid")]
+    #[error(
+        "{path} would hold the rig's calibration only, as in rig.json: leave out \
+    `export.rigid`"
+    )]
     NoPoses {
         /// The file.
         path: PathBuf,
     },
     /// The stage on disk was computed from another input or with other options.
     #[error(
-        "the {products} in {path} were made {how}: give --redo {stage} to make them again, or \
-        choose another workspace",
+        "the {products} in {path} were made {how}: give `stage.redo` {stage} to make them again, \
+        or choose another workspace",
         products = stage.products()
     )]
     Changed {
@@ -168,8 +171,8 @@ pub enum Error {
     },
     /// The frames in the workspace come from other videos or another `--every`.
     #[error(
-        "{path} holds frames of other videos or with another --every: give --redo features to \
-        extract them again, or choose another workspace"
+        "{path} holds frames of other videos or with another `features.every`: give `stage.redo` \
+        features to extract them again, or choose another workspace"
     )]
     OtherFrames {
         /// The folder of the frames.
@@ -197,8 +200,8 @@ pub enum Error {
         matches that fit a two-view geometry, and the best pair has {best} matches in total; take \
         photos that overlap more{or}",
         or = from_exif.map_or_else(String::new, |(focal_px, size)| format!(
-            ", or give --focal-prior PX --redo features if the focal length in their EXIF data, \
-            {focal_px:.0} pixels for {size}, is wrong"
+            ", or give `features.focal_prior` PX `stage.redo` features if the focal length in \
+            their EXIF data, {focal_px:.0} pixels for {size}, is wrong"
         ))
     )]
     NoOverlap {
@@ -238,10 +241,10 @@ pub enum Error {
     },
     /// A rig constraint was asked for, and no two cameras have synchronous images.
     #[error(
-        "--rig needs two cameras with images of the same times, and in {path} no two of {cameras} \
-        cameras have them: put the photos of each camera into a folder of its own, without \
-        --cameras single, give their times to `tiepoint features` with --timestamps FILE.csv, or \
-        choose --rig off"
+        "`mapper.rig` needs two cameras with images of the same times, and in {path} no two of \
+        {cameras} cameras have them: put the photos of each camera into a folder of its own, \
+        without `features.cameras` single, give their times to `stage.features` with \
+        `features.timestamps` FILE.csv, or choose `mapper.rig` off"
     )]
     NoSynchronousImages {
         /// The workspace.
@@ -251,8 +254,9 @@ pub enum Error {
     },
     /// An image has known intrinsics, and others in the input model.
     #[error(
-        "the intrinsics of {image} are given, and the input model has others: run the stage \
-        features without --intrinsics and without --calibration for the photos of the model"
+        "the intrinsics of {image} are given, and the input model has others: run \
+        `stage.features` without `features.intrinsics` and without `features.calibration` for \
+        the photos of the model"
     )]
     TwoCalibrations {
         /// The first image.
@@ -260,9 +264,9 @@ pub enum Error {
     },
     /// The focal length is to be constant, and it is not known.
     #[error(
-        "the focal length of {image} in {path} is not known, and --refine does not list focal: \
-        give it to `tiepoint features` with --calibration, --intrinsics or --focal-prior, or add \
-        focal to the list"
+        "the focal length of {image} in {path} is not known, and `mapper.refine` does not list \
+        focal: give it to `stage.features` with `features.calibration`, `features.intrinsics` or \
+        `features.focal_prior`, or add focal to the list"
     )]
     UnknownFocal {
         /// The workspace.
@@ -272,9 +276,9 @@ pub enum Error {
     },
     /// A rolling shutter was asked for, and no camera has enough images with capture times.
     #[error(
-        "--rolling-shutter needs the motion of the cameras, and in {path} no camera has four \
-        photos with known capture times: give the times to `tiepoint features` with --timestamps \
-        FILE.csv, or leave the option out"
+        "`mapper.readout` needs the motion of the cameras, and in {path} no camera has four \
+        photos with known capture times: give the times to `stage.features` with \
+        `features.timestamps` FILE.csv, or leave the option out"
     )]
     NoTimedSequence {
         /// The workspace.
@@ -282,8 +286,8 @@ pub enum Error {
     },
     /// A format with times was asked for, and no registered image has a time.
     #[error(
-        "no image with a pose in {model} has a time: give times to `tiepoint features` with \
-        --timestamps FILE.csv"
+        "no image with a pose in {model} has a time: give times to `stage.features` with \
+        `features.timestamps` FILE.csv"
     )]
     NoTimes {
         /// The model.
@@ -313,7 +317,7 @@ pub enum Error {
     /// The format needs the photos, and a bare model does not tell where they are.
     #[error(
         "{path} is in no workspace, and the photos are needed: name the workspace that the model \
-        was made in, or the folder of the photos with --images if the command has it"
+        was made in, or the folder of the photos with `export.images` if the command has it"
     )]
     NoPhotos {
         /// The model.
@@ -322,7 +326,7 @@ pub enum Error {
     /// A camera sees half of all directions or more, and a PINHOLE image less.
     #[error(
         "the camera of {image} sees 180 degrees or more, which no PINHOLE image holds: cut the \
-        photos into views first, or give them as they are (`tiepoint export --to colmap` or \
+        photos into views first, or give them as they are (an export as colmap or \
         nerfstudio) to a program that takes fisheye cameras"
     )]
     TooWide {
@@ -331,7 +335,7 @@ pub enum Error {
     },
     /// The format needs rolling shutters, and the model was mapped without.
     #[error(
-        "{path} has no rolling shutter: map with --rolling-shutter estimate, or with the readout \
+        "{path} has no rolling shutter: map with `mapper.readout` estimate, or with the readout \
         time if it is known"
     )]
     NoShutter {
@@ -368,7 +372,7 @@ pub enum Error {
     /// A database of another program has too few images.
     #[error(
         "{path} has {images} images with keypoints: a map needs at least two, so extract features \
-        first, or leave out --database"
+        first, or leave out `features.database`"
     )]
     EmptyDatabase {
         /// The file.
@@ -426,7 +430,7 @@ pub enum Error {
         why: String,
     },
     /// No point of a model is in the box that it is cropped to.
-    #[error("no point of {path} is in the box, of {points}: see `tiepoint model info {path}`")]
+    #[error("no point of {path} is in the box, of {points}: see `model.info` of {path}")]
     EmptyCrop {
         /// The model.
         path: PathBuf,
@@ -444,7 +448,7 @@ pub enum Error {
     },
     /// The build lacks the feature `las`.
     #[error(
-        "{path} is a LAS file, which this build cannot read: build with --features las, or \
+        "{path} is a LAS file, which this build cannot read: build with the feature las, or \
         convert it to PLY"
     )]
     NoLas {
@@ -453,7 +457,7 @@ pub enum Error {
     },
     /// The build lacks the feature `las`.
     #[error(
-        "{path} cannot be written, because this build has no LAS: build with --features las, or \
+        "{path} cannot be written, because this build has no LAS: build with the feature las, or \
          use dense/fused.ply of the workspace"
     )]
     NoLasWriter {
@@ -463,7 +467,7 @@ pub enum Error {
     /// A photo was replaced since its features were extracted.
     #[error(
         "{path} is not the photo that the model was made from, which had the same name: put that \
-        photo back, or make the model anew with --redo features"
+        photo back, or make the model anew with `stage.redo` features"
     )]
     ChangedPhoto {
         /// The photo.
@@ -486,7 +490,7 @@ pub enum Error {
     },
     /// A workspace has no dense cloud.
     #[error(
-        "{path} has no dense cloud of its model: run `tiepoint dense {path}` first, with --redo \
+        "{path} has no dense cloud of its model: run `stage.dense` first, with `stage.redo` \
         dense if its files were deleted"
     )]
     NoDenseCloud {

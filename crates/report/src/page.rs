@@ -274,13 +274,17 @@ fn describe_section<'a>(
 }
 
 /// Writes `report.html` for a model into a folder. If that is the workspace of the model, the page
-/// has the texts of `report.json` and `rig.json` and small copies of the photos. Returns the path
-/// of the page.
+/// has the texts of `report.json` and `rig.json` and small copies of the photos. `shown` gives a
+/// warning the names of options that its readers know. Returns the path of the page.
 ///
 /// # Errors
 ///
 /// A file beside the model cannot be read, or the page cannot be written.
-pub fn view(located: &LocatedModel, path: &Path) -> Result<PathBuf, Error> {
+pub fn view(
+    located: &LocatedModel,
+    path: &Path,
+    shown: &dyn Fn(&str) -> String,
+) -> Result<PathBuf, Error> {
     refuse_foreign_page(&path.join(PAGE))?;
     let model = &located.reconstruction;
     let report = path.join("report.json");
@@ -310,7 +314,7 @@ pub fn view(located: &LocatedModel, path: &Path) -> Result<PathBuf, Error> {
     let table = Table::of_columns(&[name.to_string()], summary(model, report.as_ref()));
     let warnings = report.iter().flat_map(|report| &report.warnings);
     let rows: Vec<TableRow> =
-        warnings.map(|warning| ("warning".to_owned(), vec![warning.to_string()])).collect();
+        warnings.map(|warning| ("warning".to_owned(), vec![shown(&warning.to_string())])).collect();
     let warnings = (!rows.is_empty()).then(|| Table::of_columns(&[String::new()], rows));
     let tables: Vec<Table> = std::iter::once(table).chain(warnings).collect();
     let section =

@@ -13,7 +13,8 @@ pub(crate) fn view(args: &View, output: &Output) -> Result<(), Failure> {
     struct Written {
         report: std::path::PathBuf,
     }
-    let written =
-        Written { report: write_report(&open_model(&args.workspace, output)?, &args.workspace)? };
+    let model = open_model(&args.workspace, output)?;
+    let shown = |text: &str| output.for_reader(text).into_owned();
+    let written = Written { report: write_report(&model, &args.workspace, &shown)? };
     output.result(&written, || format!("{}\n", written.report.display()))
 }

@@ -99,7 +99,7 @@ impl Command {
                 export(&source, format, &dir.join("out").join(name)).map(drop)
             }
             Self::Adjust => adjust(&ws, Some(&dir.join("out")), false, watch).map(drop),
-            Self::View => view(&LocatedModel::open(&ws)?, &ws).map(drop),
+            Self::View => view(&LocatedModel::open(&ws)?, &ws, &str::to_owned).map(drop),
             Self::Dense => {
                 let options = DenseOptions {
                     write_normal_maps: true,

@@ -101,8 +101,8 @@ impl CalibrationSource {
         if (pattern.is_some() || camera.is_some()) && !path.exists() {
             let [pattern, camera] = [pattern, camera].map(|text| text.as_deref().unwrap_or("none"));
             let what = format!(
-                "No such file: --calibration was read as the pattern {pattern}, this file, and its \
-                camera {camera}"
+                "No such file: `features.calibration` was read as the pattern {pattern}, this \
+                file, and its camera {camera}"
             );
             return Err(self.error(what));
         }
@@ -161,8 +161,8 @@ impl Calibrations {
         for (index, source) in sources.iter().enumerate() {
             let is_own = |calibration: &usize| this.cameras[*calibration].0 == index;
             if !this.of_image.iter().flatten().any(is_own) {
-                let what = "calibrates no photo, since another --calibration of all its photos \
-                            stands before it: give the photos of each, as PATTERN=FILE";
+                let what = "calibrates no photo, since another `features.calibration` of all its \
+                photos stands before it: give the photos of each, as PATTERN=FILE";
                 return Err(source.error(what.to_owned()));
             }
             // Folders without a camera in this source may be calibrated by another source.

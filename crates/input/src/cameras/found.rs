@@ -213,7 +213,7 @@ fn require_one_orientation(
         if one != other {
             let what = format!(
                 "{} has the EXIF orientation {one} and {} {other}, so that one camera cannot have \
-                these intrinsics in both: leave out --cameras",
+                these intrinsics in both: leave out `features.cameras`",
                 photos.name(first),
                 photos.name(photo)
             );
@@ -262,7 +262,10 @@ mod tests {
         for impossible in [1e306, 1.0] {
             let error = given(impossible).camera("a.jpg", &info(exif.clone()), own).unwrap_err();
             let error = error.to_string();
-            assert!(error.contains("--focal-prior") && error.contains("600 x 400"), "{error}");
+            assert!(
+                error.contains("`features.focal_prior`") && error.contains("600 x 400"),
+                "{error}"
+            );
         }
         let known = Intrinsics::new(model, &[400.0, 410.0, 300.0, 200.0]).unwrap();
         let camera = Calibration::Known(known).camera("a.jpg", &info(exif), own).unwrap();

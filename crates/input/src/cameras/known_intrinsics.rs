@@ -130,8 +130,8 @@ pub(crate) fn camera_of(
     if size.is_none() && offset(intrinsics, assumed) > MAX_OFFSET {
         return Err(format!(
             "the principal point ({x}, {y}) is far from the centre of {photo}, which has {}: is \
-            the calibration that of another image size? If not, state it, as --calibration \
-            FILE#P0@{}x{}",
+            the calibration that of another image size? If not, state it, as \
+            `features.calibration` FILE#P0@{}x{}",
             Size(width, height),
             assumed[0],
             assumed[1]

@@ -135,7 +135,7 @@ impl Photos {
             let (names, folder) = (first_names(&without), escaped(Path::new(folder)));
             Some(format!(
                 "{folder}: {count} of {all} {has} no time, and times pair no photo of another \
-                camera with {it}: {names}; --timestamps FILE gives times"
+                camera with {it}: {names}; `features.timestamps` FILE gives times"
             ))
         });
         notes.collect()

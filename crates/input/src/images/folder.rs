@@ -245,7 +245,7 @@ impl ImageFolder {
             if let Some(mask) = mask.as_ref().filter(|mask| is_same_file(mask, &path)) {
                 let what = format!(
                     "is the photo {name} itself and would be its own mask: put masks into a folder \
-                    of their own, and give that by --masks"
+                    of their own, and give that by `features.masks`"
                 );
                 return Err(Error::content(mask, what));
             }
@@ -851,7 +851,7 @@ impl Listing {
                 "{path}: its images are made from those of the same names in `{of}`, and it is no \
                 camera: {}",
                 if is_mask_folder(&folder) {
-                    "give masks by --masks"
+                    "give masks by `features.masks`"
                 } else {
                     "if it is one, rename the folder"
                 }

@@ -451,7 +451,7 @@ impl SizeLimit<'_> {
             }
             Self::Pixels(most) if pixels > most => Err(format!(
                 "claims {width} × {height} pixels, more than {} million: if it is a photo, give \
-                --max-megapixels {}",
+                `features.max_megapixels` {}",
                 most / MILLION,
                 pixels.div_ceil(MILLION)
             )),

@@ -338,9 +338,9 @@ fn implausible(photos: &Photos, usable: &[Photo], times_s: &BTreeMap<&str, f64>)
     }
     if !intervals_s.is_empty() && intervals_s.iter().all(|interval_s| *interval_s == 0.0) {
         return Some(
-            "all times of a camera are equal: give the time of each photo, or leave --timestamps \
-            out"
-            .to_owned(),
+            "all times of a camera are equal: give the time of each photo, or leave \
+            `features.timestamps` out"
+                .to_owned(),
         );
     }
     let usual_s = median(&mut intervals_s).filter(|usual_s| *usual_s > MAX_INTERVAL_S)?;

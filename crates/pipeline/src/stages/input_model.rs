@@ -71,14 +71,20 @@ impl OpenedModel {
                 options.rig = RigMode::Off;
             }
             if options.rig != RigMode::Off {
-                return Err(Error::MovesPoses { option: "--rig", with: "--fix-existing-frames" });
+                return Err(Error::MovesPoses {
+                    option: "`mapper.rig`",
+                    with: "`mapper.fix_existing_frames`",
+                });
             }
             if options.readout.is_some() {
-                let option = "--rolling-shutter";
-                return Err(Error::MovesPoses { option, with: "--fix-existing-frames" });
+                let option = "`mapper.readout`";
+                return Err(Error::MovesPoses { option, with: "`mapper.fix_existing_frames`" });
             }
         } else if options.rig == RigMode::Paper {
-            return Err(Error::MovesPoses { option: "--rig paper", with: "--input-model" });
+            return Err(Error::MovesPoses {
+                option: "`mapper.rig` paper",
+                with: "`mapper.input_model`",
+            });
         }
         Ok(options)
     }

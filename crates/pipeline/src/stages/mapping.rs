@@ -129,7 +129,7 @@ impl<'a> MapRequest<'a> {
         let is_imported = of_features(option_names::DATABASE);
         if let Some(model) = &input_model {
             if rig_calibration.is_some() {
-                let (option, with) = ("--rig-calibration", "--input-model");
+                let (option, with) = ("`mapper.rig_calibration`", "`mapper.input_model`");
                 return Err(Error::MovesPoses { option, with });
             }
             texts.extend(model.texts());

@@ -40,7 +40,7 @@ pub fn known_rigs(
             if let Some(other) = photos_of_cameras.insert(camera, photos.what.clone()) {
                 return Err(fails(format!(
                     "{} and {other} are photos of one camera: put the photos of each camera into a \
-                    folder of its own, and run the stage features without --cameras single",
+                    folder of its own, and run `stage.features` without `features.cameras` single",
                     photos.what
                 )));
             }
@@ -56,7 +56,7 @@ pub fn known_rigs(
             let whats: Vec<&str> = photos.iter().map(|photos| photos.what.as_str()).collect();
             return Err(fails(format!(
                 "no two of {} are of one frame: give the photos of a frame the same name or \
-                number, or their times with --timestamps",
+                number, or their times with `features.timestamps`",
                 whats.join(", ")
             )));
         }
@@ -160,7 +160,8 @@ fn only_camera(scene: &Reconstruction, photos: &Photos) -> Result<CameraId, Stri
         (Some(camera), 1) => Ok(*camera),
         (_, count) => Err(format!(
             "{} are of {count} cameras, and a camera of a rig is one: put the photos of each \
-            camera into a folder of its own, and run the stage features with --cameras folder",
+            camera into a folder of its own, and run `stage.features` with `features.cameras` \
+            folder",
             photos.what
         )),
     }

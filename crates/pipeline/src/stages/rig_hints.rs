@@ -32,8 +32,8 @@ pub(crate) fn why_no_rig(scene: &Reconstruction) -> Option<String> {
             let folders: Vec<String> = cameras.iter().map(folder).collect();
             Some(format!(
                 "no rig: {} have no photos of one instant in common by times, names or numbers in \
-                names; if they are cameras of one vehicle, give times with --timestamps or the \
-                same number to the photos of an instant",
+                names; if they are cameras of one vehicle, give times with `features.timestamps` \
+                or the same number to the photos of an instant",
                 folders.join(", ")
             ))
         }
@@ -104,7 +104,10 @@ mod tests {
         let later: &[&str] = &["right/b7.png", "right/b8.png", "right/b9.png"];
         let alike: &[&str] = &["right/b1.png", "right/b2.png", "right/b3.png"];
         let found = why(&[left, later]).unwrap();
-        assert!(found.contains("left, right") && found.contains("--timestamps"), "{found}");
+        assert!(
+            found.contains("left, right") && found.contains("`features.timestamps`"),
+            "{found}"
+        );
         assert_eq!(why(&[left, alike]), None);
         assert_eq!(why(&[left, &later[..2]]), None, "too few");
         assert_eq!(why(&[left]), None);

@@ -278,12 +278,14 @@ fn taken_note(recording: &str, taken: usize, read: usize, every: Option<NonZeroU
     let (rule, more) = match every {
         None => (
             format!("one in {STRETCH_S} s, more where the image moves fast, none where it stands"),
-            "--every 1 takes all that move",
+            "`features.every` 1 takes all that move",
         ),
         Some(NonZeroUsize::MIN) => return format!("{recording}: {taken} of {read} frames taken"),
-        Some(every) => {
-            (format!("one of {every}, none where the image stands"), "a smaller --every takes more")
-        }
+        Some(every) => (
+            format!("one of {every}, none where the image stands"),
+            "a smaller `features.every` \
+            takes more",
+        ),
     };
     match taken < read {
         true => format!("{recording}: {taken} of {read} frames taken ({rule}); {more}"),

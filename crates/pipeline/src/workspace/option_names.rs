@@ -1,4 +1,6 @@
-//! Keys of options in the records, and their names in messages.
+//! Keys of options in the records. Messages name an option by its key, and a stage as `stage.map`,
+//! in backquotes; the program shows its flags and commands instead, and Python its keywords
+//! (`cli/src/hints.rs`).
 
 /// Value of an option that is not given.
 pub(crate) const NONE: &str = "none";
@@ -32,52 +34,15 @@ pub(crate) const REFINE_EXTRINSICS_KEY: &str = "mapper.refine.extrinsics";
 pub(crate) const CAMERAS_KEY: &str = "features.cameras";
 
 /// How an option differs between two runs, given its values in the records, as in "made with
-/// --pairs exhaustive and not sequential:5".
+/// `match.pairs` exhaustive and not sequential:5".
 pub(crate) fn difference(key: &str, was: &str, is: &str) -> String {
-    let name = shown(key);
     let parameter = match key {
-        REFINE_KNOWN_KEY => Some("known intrinsics"),
-        _ => name.strip_prefix("--refine "),
+        REFINE_KNOWN_KEY => Some("known intrinsics".to_owned()),
+        _ => key.strip_prefix("mapper.refine.").map(|parameter| parameter.replace('_', "-")),
     };
     if let Some(parameter) = parameter {
         let [was, is] = [was, is].map(|value| if value == "true" { "refined" } else { "fixed" });
-        return format!("{parameter} {was} and not {is} (--refine)");
+        return format!("{parameter} {was} and not {is} (`mapper.refine`)");
     }
-    format!("{name} {was} and not {is}")
-}
-
-/// Keys of options of the command line, and their names there.
-pub(crate) const ON_COMMAND_LINE: [(&str, &str); 27] = [
-    ("dense.max_image_size", "--max-size"),
-    ("dense.normal_maps", "--normal-maps"),
-    ("dense.depth_pngs", "--depth-pngs"),
-    (CALIBRATION_KEY, "--calibration"),
-    (REFINE_KNOWN_KEY, "--refine"),
-    (REFINE_EXTRINSICS_KEY, "--refine extrinsics"),
-    (RIG_CALIBRATION_KEY, "--rig-calibration"),
-    ("mapper.refine.aspect", "--refine aspect"),
-    ("mapper.refine.distortion", "--refine distortion"),
-    ("mapper.refine.focal", "--refine focal"),
-    ("mapper.refine.principal_point", "--refine principal-point"),
-    ("mapper.refine.prism", "--refine prism"),
-    ("features.camera_model", "--camera-model"),
-    (DATABASE, "--database"),
-    (FOCAL_PRIOR, "--focal-prior"),
-    (INTRINSICS, "--intrinsics"),
-    (CAMERAS_KEY, "--cameras"),
-    (MAX_PIXELS_KEY, "--max-megapixels"),
-    ("features.timestamps", "--timestamps"),
-    (PAIRS, "--pairs"),
-    ("match.seed", "--seed"),
-    ("mapper.baseline", "--baseline"),
-    ("mapper.fix_existing_frames", "--fix-existing-frames"),
-    ("mapper.input_model", "--input-model"),
-    ("mapper.readout", "--rolling-shutter"),
-    ("mapper.rig", "--rig"),
-    ("mapper.seed", "--seed"),
-];
-
-/// The name of an option in messages: that on the command line if it has one, else its key.
-pub(crate) fn shown(key: &str) -> &str {
-    ON_COMMAND_LINE.iter().find(|(own, _)| *own == key).map_or(key, |(_, name)| name)
+    format!("`{key}` {was} and not {is}")
 }

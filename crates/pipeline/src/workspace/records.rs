@@ -19,7 +19,7 @@ use tiepoint_io::database::StageRow;
 use tiepoint_store::{Error as StoreError, require_regular_file};
 
 use crate::workspace::format;
-use crate::workspace::option_names::{NONE, difference, shown};
+use crate::workspace::option_names::{NONE, difference};
 use crate::{Error, Stage};
 
 /// Stages whose results are in the database.
@@ -91,7 +91,7 @@ impl Recipe {
         if was.len().max(is.len()) <= MAX_QUOTED {
             difference(key, &was, &is)
         } else {
-            format!("another {}", shown(key))
+            format!("another `{key}`")
         }
     }
 }
@@ -299,8 +299,8 @@ mod tests {
             records.begin(dir, Stage::Match, &recipe("a", "sequential:5"), None).unwrap_err();
         assert_eq!(
             error.to_string(),
-            "the matches in ws were made with --pairs exhaustive and not sequential:5: give \
-            --redo match to make them again, or choose another workspace"
+            "the matches in ws were made with `match.pairs` exhaustive and not sequential:5: give \
+            `stage.redo` match to make them again, or choose another workspace"
         );
         let error = records.begin(dir, Stage::Match, &recipe("c", "exhaustive"), None).unwrap_err();
         assert!(error.to_string().contains("from other features"), "{error}");
@@ -379,24 +379,25 @@ mod tests {
             (
                 vec![("mapper.readout", "none")],
                 vec![("mapper.readout", "0.016s")],
-                "--rolling-shutter none and not 0.016s",
+                "`mapper.readout` none and not 0.016s",
             ),
             (
                 vec![("mapper.rig", "off"), ("mapper.seed", "0")],
                 vec![("mapper.rig", "auto"), ("mapper.seed", "1")],
-                "--rig off and not auto, --seed 0 and not 1",
+                "`mapper.rig` off and not auto, `mapper.seed` 0 and not 1",
             ),
             // An option that another version does not have.
-            (vec![], vec![("mapper.loss", "trivial")], "mapper.loss none and not trivial"),
+            (vec![], vec![("mapper.loss", "trivial")], "`mapper.loss` none and not trivial"),
             (
                 vec![("features.timestamps", &hash)],
                 vec![("features.timestamps", "none")],
-                "another --timestamps",
+                "another `features.timestamps`",
             ),
             (
                 vec![("a", "1"), ("b", "1"), ("c", "1"), ("d", "1"), ("e", "1")],
                 vec![],
-                "a 1 and not none, b 1 and not none, c 1 and not none, and 2 more that differ",
+                "`a` 1 and not none, `b` 1 and not none, `c` 1 and not none, and 2 more that \
+                differ",
             ),
         ] {
             let how = recipe(&was).difference(&recipe(&is), Stage::Map).unwrap();

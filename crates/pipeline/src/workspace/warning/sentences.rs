@@ -30,13 +30,14 @@ impl fmt::Display for Warning {
                 write!(
                     f,
                     "camera {camera} of {model} has a focal length of {focal_px:.0} px, and \
-                    {expected_px:.0} px were expected: check EXIF, or give --intrinsics"
+                    {expected_px:.0} px were expected: check EXIF, or give `features.intrinsics`"
                 )
             }
             Self::FocalLength { model, camera, focal_px, side_px, .. } => write!(
                 f,
                 "camera {camera} of {model} has a focal length of {focal_px:.0} px for images of \
-                {side_px} px, which is unlikely: give --focal-prior or --intrinsics"
+                {side_px} px, which is unlikely: give `features.focal_prior` or \
+                `features.intrinsics`"
             ),
             Self::Distortion { model, camera, camera_model, params } => {
                 let params: Vec<String> =
@@ -44,21 +45,21 @@ impl fmt::Display for Warning {
                 write!(
                     f,
                     "camera {camera} of {model} has a distortion that no lens has ({camera_model} \
-                    {}): give another --camera-model or --intrinsics",
+                    {}): give another `features.camera_model` or `features.intrinsics`",
                     params.join(", ")
                 )
             }
             Self::LensResiduals { model, camera, camera_model, residual_px, better } => write!(
                 f,
                 "{camera_model} leaves residuals of {residual_px:.2} px that depend on the \
-                distance from the centre of camera {camera} of {model}: try --camera-model \
-                {better}"
+                distance from the centre of camera {camera} of {model}: try \
+                `features.camera_model` {better}"
             ),
             Self::ImagesOfOtherFocalLength { model, camera, images } => write!(
                 f,
                 "images do not have the focal length of their camera {camera} of {model}, as if \
-                they were cropped or zoomed: {}: give each camera a folder, or give --cameras \
-                image",
+                they were cropped or zoomed: {}: give each camera a folder, or give \
+                `features.cameras` image",
                 listed(&images.iter().map(scaled).collect::<Vec<_>>())
             ),
             Self::RigScatter { model, cameras: [one, other], relative } => write!(
