@@ -21,9 +21,7 @@ use tiepoint_pipeline::sfm::{Readout, RigMode};
 use tiepoint_synth::{Effects, RouteKind, ViewDirection};
 
 pub(crate) use values::{CropBox, ImageSize, Metres, Quantiles, Refine, threads};
-use values::{
-    NumberList, PositivePixels, alignment, camera_model, positive, readout, refine, rig_mode, route,
-};
+use values::{NumberList, PositivePixels, one_of, positive, readout, refine, rig_mode};
 
 /// Structure from motion for cameras mounted on one vehicle: photos in, a COLMAP model out.
 #[derive(Debug, Parser)]
@@ -132,7 +130,12 @@ pub(crate) struct Reconstruct {
     )]
     pub(crate) dense_max_size: Option<u32>,
     /// Computes this stage and all later ones again: features, match, map or (with --dense) dense.
-    #[arg(long, value_name = "STAGE")]
+    #[arg(
+        long,
+        value_name = "STAGE",
+        value_parser = one_of(&Stage::ALL, Stage::name),
+        hide_possible_values = true
+    )]
     pub(crate) redo: Option<Stage>,
 }
 
@@ -143,7 +146,12 @@ pub(crate) struct Features {
     #[command(flatten)]
     pub(crate) cameras: Cameras,
     /// Computes this stage again: features.
-    #[arg(long, value_name = "STAGE")]
+    #[arg(
+        long,
+        value_name = "STAGE",
+        value_parser = one_of(&Stage::ALL, Stage::name),
+        hide_possible_values = true
+    )]
     pub(crate) redo: Option<Stage>,
 }
 
@@ -156,7 +164,12 @@ pub(crate) struct Match {
     #[command(flatten)]
     pub(crate) seed: Seed,
     /// Computes this stage again: match.
-    #[arg(long, value_name = "STAGE")]
+    #[arg(
+        long,
+        value_name = "STAGE",
+        value_parser = one_of(&Stage::ALL, Stage::name),
+        hide_possible_values = true
+    )]
     pub(crate) redo: Option<Stage>,
 }
 
@@ -169,7 +182,12 @@ pub(crate) struct Map {
     #[command(flatten)]
     pub(crate) seed: Seed,
     /// Computes this stage again: map.
-    #[arg(long, value_name = "STAGE")]
+    #[arg(
+        long,
+        value_name = "STAGE",
+        value_parser = one_of(&Stage::ALL, Stage::name),
+        hide_possible_values = true
+    )]
     pub(crate) redo: Option<Stage>,
 }
 
@@ -200,7 +218,12 @@ pub(crate) struct Localize {
     #[arg(long, value_name = "PX")]
     pub(crate) focal_prior: Option<PositivePixels>,
     /// COLMAP's name of the camera model of the photos [default: SIMPLE_RADIAL].
-    #[arg(long, value_name = "NAME", value_parser = camera_model)]
+    #[arg(
+        long,
+        value_name = "NAME",
+        value_parser = one_of(CameraModelKind::ALL, CameraModelKind::name),
+        ignore_case = true
+    )]
     pub(crate) camera_model: Option<CameraModelKind>,
     /// Folder with a mask for each photo, as in `features`.
     #[arg(long, value_name = "DIR")]
@@ -229,7 +252,12 @@ pub(crate) struct Dense {
     #[arg(long)]
     pub(crate) depth_pngs: bool,
     /// Computes this stage again: dense.
-    #[arg(long, value_name = "STAGE")]
+    #[arg(
+        long,
+        value_name = "STAGE",
+        value_parser = one_of(&Stage::ALL, Stage::name),
+        hide_possible_values = true
+    )]
     pub(crate) redo: Option<Stage>,
 }
 
@@ -285,7 +313,13 @@ pub(crate) struct Cameras {
     /// Photos that share a camera: auto (photos of one folder with the same size, EXIF orientation,
     /// body, lens and focal length), folder (each folder has one), image (each photo has its own),
     /// single (all have one).
-    #[arg(long, value_name = "GROUPS", default_value_t = CameraGrouping::Auto)]
+    #[arg(
+        long,
+        value_name = "GROUPS",
+        default_value = CameraGrouping::Auto.name(),
+        value_parser = one_of(&CameraGrouping::ALL, CameraGrouping::name),
+        hide_possible_values = true
+    )]
     pub(crate) cameras: CameraGrouping,
     /// Known intrinsics of all cameras, in pixels; they stay fixed. The centre of the first pixel
     /// is (0.5, 0.5) as in COLMAP; for intrinsics of OpenCV or KITTI, which have it at (0, 0), add
@@ -316,7 +350,12 @@ pub(crate) struct Cameras {
     pub(crate) focal_prior: Option<PositivePixels>,
     /// COLMAP's name of the camera model; THIN_PRISM_FISHEYE suits action cameras. In models with
     /// two focal lengths fx and fy stay equal [default: SIMPLE_RADIAL].
-    #[arg(long, value_name = "NAME", value_parser = camera_model)]
+    #[arg(
+        long,
+        value_name = "NAME",
+        value_parser = one_of(CameraModelKind::ALL, CameraModelKind::name),
+        ignore_case = true
+    )]
     pub(crate) camera_model: Option<CameraModelKind>,
 }
 
@@ -340,7 +379,13 @@ pub(crate) struct Mapping {
     /// tracks allow. rigid: one exact sensor_from_rig per camera. auto: the strongest of off, soft
     /// and rigid that held-out tracks do not contradict. Cameras need not be synchronised: their
     /// time offsets are estimated (paper: to half a frame interval).
-    #[arg(long, value_name = "MODE", default_value = "auto", value_parser = rig_mode)]
+    #[arg(
+        long,
+        value_name = "MODE",
+        default_value = "auto",
+        value_parser = rig_mode(),
+        hide_possible_values = true
+    )]
     pub(crate) rig: RigMode,
     /// Known rigs: COLMAP's rig_config.json (photos of one frame have the same name after their
     /// image_prefix) or Kalibr's camchain (its cameras are the folders, by name or in their order;
@@ -421,7 +466,13 @@ pub(crate) struct EvaluateCloud {
     /// Alignment before distances are measured: similarity (initialised from the principal axes of
     /// both clouds, refined by ICP), rigid (ICP from the given coordinates), none. ICP with a free
     /// scale hides scale drift.
-    #[arg(long, value_name = "FREEDOM", default_value = "similarity", value_parser = alignment)]
+    #[arg(
+        long,
+        value_name = "FREEDOM",
+        default_value = "similarity",
+        value_parser = one_of(&Alignment::ALL, Alignment::name),
+        hide_possible_values = true
+    )]
     pub(crate) align: Alignment,
     /// Aligns the cameras of a workspace to these true poses, given in the frame of the reference,
     /// and refines by rigid ICP alone; scale drift stays visible. FORMAT as in `evaluate poses`.
@@ -565,7 +616,12 @@ pub(crate) struct Export {
     /// readout time of rolling shutters), gsplat (a folder with images, sparse/0 with the detected
     /// keypoints, and rolling_shutter.json with viewmats of first and last rows), kalibr
     /// (camchain.yaml with extrinsics and time offsets of the rig).
-    #[arg(long, value_name = "FORMAT")]
+    #[arg(
+        long,
+        value_name = "FORMAT",
+        value_parser = one_of(&ExportFormat::ALL, ExportFormat::name),
+        hide_possible_values = true
+    )]
     pub(crate) to: ExportFormat,
     /// The file or folder to write.
     #[arg(short, long = "output", value_name = "PATH")]
@@ -653,14 +709,26 @@ pub(crate) struct Synth {
     #[arg(long, value_name = "HZ", default_value_t = 10.0)]
     pub(crate) rate: f64,
     /// Route: loop (around a block, back to the start and a little further) or open (one way).
-    #[arg(long, value_name = "ROUTE", default_value = "loop", value_parser = route)]
+    #[arg(
+        long,
+        value_name = "ROUTE",
+        default_value = "loop",
+        value_parser = one_of(&RouteKind::ALL, RouteKind::name),
+        hide_possible_values = true
+    )]
     pub(crate) route: RouteKind,
     /// Length of the street, in metres.
     #[arg(long, value_name = "M", default_value_t = 200.0)]
     pub(crate) length: f64,
     /// Viewing direction of both cameras, half a metre apart: front, front-right, right, rear or
     /// left.
-    #[arg(long, value_name = "DIRECTION", default_value = "front")]
+    #[arg(
+        long,
+        value_name = "DIRECTION",
+        default_value = "front",
+        value_parser = one_of(&ViewDirection::ALL, ViewDirection::name),
+        hide_possible_values = true
+    )]
     pub(crate) view_direction: ViewDirection,
     /// Imperfections to simulate: none, all, or a list joined by + of lens, rolling-shutter,
     /// vibration, misalignment, traffic, clocks and photometry.
@@ -706,7 +774,8 @@ pub(crate) enum Experiment {
             value_name = "MODES",
             value_delimiter = ',',
             default_value = "off,paper,auto",
-            value_parser = rig_mode
+            value_parser = rig_mode(),
+            hide_possible_values = true
         )]
         rig: Vec<RigMode>,
     },
@@ -817,7 +886,8 @@ mod tests {
             calibration: Vec::new(),
             intrinsics: Some(intrinsics.parse()?),
             focal_prior: None,
-            camera_model: model.map(camera_model).transpose()?,
+            camera_model: model
+                .map(|name| CameraModelKind::from_name(&name.to_uppercase()).unwrap()),
         }
         .initial()
     }

@@ -16,6 +16,18 @@ pub enum Alignment {
 }
 
 impl Alignment {
+    /// All of them.
+    pub const ALL: [Self; 3] = [Self::Similarity, Self::Rigid, Self::None];
+
+    /// Its name.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Similarity => "similarity",
+            Self::Rigid => "rigid",
+            Self::None => "none",
+        }
+    }
+
     /// The transform `to_from_from` with the least squared distances (Umeyama 1991); `None` for
     /// fewer than three points, or collinear ones.
     pub fn fit(self, from: &[Vector3<f64>], to: &[Vector3<f64>]) -> Option<Sim3> {

@@ -1,5 +1,4 @@
 use std::fmt;
-use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
@@ -22,7 +21,7 @@ impl Stage {
     /// All stages in order.
     pub const ALL: [Self; 4] = [Self::Features, Self::Match, Self::Map, Self::Dense];
 
-    /// Its name on the command line and in files.
+    /// Its name.
     pub fn name(self) -> &'static str {
         match self {
             Self::Features => "features",
@@ -46,15 +45,5 @@ impl Stage {
 impl fmt::Display for Stage {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(self.name())
-    }
-}
-
-impl FromStr for Stage {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        Self::ALL.into_iter().find(|stage| stage.name() == text).ok_or_else(|| {
-            format!("there is no stage {text}: use {}", Self::ALL.map(Self::name).join(", "))
-        })
     }
 }

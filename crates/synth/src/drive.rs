@@ -32,6 +32,19 @@ pub enum RouteKind {
     Open,
 }
 
+impl RouteKind {
+    /// All kinds.
+    pub const ALL: [Self; 2] = [Self::Loop, Self::Open];
+
+    /// Its name.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Loop => "loop",
+            Self::Open => "open",
+        }
+    }
+}
+
 /// Options of a drive.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DriveOptions {

@@ -1,11 +1,7 @@
 //! Extrinsics of the cameras on the vehicle.
 
-use std::str::FromStr;
-
 use tiepoint_geometry::nalgebra::{UnitQuaternion, Vector3};
 use tiepoint_geometry::{Rigid3, Rng};
-
-use crate::Error;
 
 /// Standard deviation of the misalignment about each axis, in radians (1.5 degrees): cameras of
 /// uncalibrated rigs are not exactly parallel.
@@ -67,19 +63,6 @@ impl ViewDirection {
             Self::Rear => Vector3::new(x, y, z - 0.8),
             Self::Left => Vector3::new(x - 0.6, y, z),
         }
-    }
-}
-
-impl FromStr for ViewDirection {
-    type Err = Error;
-    fn from_str(name: &str) -> Result<Self, Error> {
-        Self::ALL.into_iter().find(|direction| direction.name() == name).ok_or_else(|| {
-            Error::UnknownName {
-                what: "view direction",
-                name: name.to_owned(),
-                known: Self::ALL.map(Self::name).join(", "),
-            }
-        })
     }
 }
 

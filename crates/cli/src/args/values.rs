@@ -4,11 +4,9 @@ use std::fmt;
 use std::num::NonZeroUsize;
 use std::str::FromStr;
 
-use tiepoint_pipeline::eval::Alignment;
-use tiepoint_pipeline::sfm::geometry::CameraModelKind;
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use tiepoint_pipeline::sfm::geometry::nalgebra::Vector3;
 use tiepoint_pipeline::sfm::{BoundingBox, Readout, RefineIntrinsics, RigMode};
-use tiepoint_synth::RouteKind;
 
 /// Width and height, in pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -202,31 +200,28 @@ pub(super) fn refine(text: &str) -> Result<Refine, String> {
     Ok(Refine { intrinsics: refine, extrinsics })
 }
 
-pub(super) fn alignment(name: &str) -> Result<Alignment, String> {
-    match name {
-        "similarity" => Ok(Alignment::Similarity),
-        "rigid" => Ok(Alignment::Rigid),
-        "none" => Ok(Alignment::None),
-        _ => Err("expected similarity, rigid or none".to_owned()),
-    }
+/// One of a fixed set of values, by its name. Completions and descriptions know the names.
+pub(super) fn one_of<T: Copy + Send + Sync + 'static>(
+    all: &'static [T],
+    name: fn(T) -> &'static str,
+) -> impl TypedValueParser<Value = T> {
+    let names: Vec<PossibleValue> =
+        all.iter().map(|value| PossibleValue::new(name(*value))).collect();
+    PossibleValuesParser::new(names).map(move |found: String| {
+        let is_named = |value: &&T| name(**value).eq_ignore_ascii_case(&found);
+        *all.iter().find(is_named).expect("clap has compared it with all names")
+    })
 }
 
-pub(super) fn camera_model(name: &str) -> Result<CameraModelKind, String> {
-    CameraModelKind::from_name(&name.to_ascii_uppercase()).map_err(|error| error.to_string())
-}
-
-pub(super) fn route(name: &str) -> Result<RouteKind, String> {
-    match name {
-        "loop" => Ok(RouteKind::Loop),
-        "open" => Ok(RouteKind::Open),
-        _ => Err("expected loop or open".to_owned()),
-    }
-}
-
-pub(super) fn rig_mode(name: &str) -> Result<RigMode, String> {
-    // `hard` is a hidden alias.
-    let name = if name == "hard" { RigMode::Rigid.name() } else { name };
-    RigMode::from_name(name).ok_or_else(|| "expected off, paper, soft, rigid or auto".to_owned())
+/// A constraint of a rig; `hard` is a hidden alias of `rigid`.
+pub(super) fn rig_mode() -> impl TypedValueParser<Value = RigMode> {
+    let value = |mode: RigMode| match mode {
+        RigMode::Rigid => PossibleValue::new(mode.name()).alias("hard"),
+        mode => PossibleValue::new(mode.name()),
+    };
+    let values: Vec<PossibleValue> = RigMode::ALL.into_iter().map(value).collect();
+    PossibleValuesParser::new(values)
+        .map(|found: String| RigMode::from_name(&found).unwrap_or(RigMode::Rigid))
 }
 
 #[cfg(test)]

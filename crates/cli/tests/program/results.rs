@@ -155,7 +155,7 @@ fn photos_become_a_model_and_a_second_run_keeps_it() {
     }
     tiepoint_in(dir, "evaluate cloud {}/a.ply {}/none.ply").failed(1, &["none.ply"]);
     tiepoint_in(dir, "evaluate cloud {}/a.ply {}/a.ply --align free")
-        .failed(2, &["similarity, rigid or none"]);
+        .failed(2, &["similarity, rigid, none"]);
     tiepoint_in(dir, "export {}/ws --to tum -o {}/t.txt")
         .failed(1, &["has a time", "--timestamps"]);
     let text = tiepoint_in(dir, "evaluate poses {}/text --truth colmap:{}/ws --json").done().json();

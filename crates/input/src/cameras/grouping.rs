@@ -2,7 +2,6 @@
 
 use std::collections::BTreeMap;
 use std::fmt;
-use std::str::FromStr;
 
 use crate::images::{Device, ImageInfo};
 
@@ -22,29 +21,23 @@ pub enum CameraGrouping {
 }
 
 impl CameraGrouping {
-    const ALL: [(Self, &str); 4] = [
-        (Self::Auto, "auto"),
-        (Self::Folder, "folder"),
-        (Self::Image, "image"),
-        (Self::Single, "single"),
-    ];
+    /// All groupings.
+    pub const ALL: [Self; 4] = [Self::Auto, Self::Folder, Self::Image, Self::Single];
+
+    /// Its name.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Auto => "auto",
+            Self::Folder => "folder",
+            Self::Image => "image",
+            Self::Single => "single",
+        }
+    }
 }
 
 impl fmt::Display for CameraGrouping {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let name = Self::ALL.iter().find(|(own, _)| own == self).map_or("", |(_, name)| name);
-        f.write_str(name)
-    }
-}
-
-impl FromStr for CameraGrouping {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        let found = Self::ALL.iter().find(|(_, name)| *name == text);
-        found
-            .map(|(own, _)| *own)
-            .ok_or_else(|| "expected auto, folder, image or single".to_owned())
+        f.write_str(self.name())
     }
 }
 

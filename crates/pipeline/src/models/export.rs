@@ -3,7 +3,6 @@
 use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::{Path, PathBuf};
-use std::str::FromStr;
 
 use serde::Serialize;
 use tiepoint_dense::undistort::{UndistortOptions, Undistortion, undistort_model};
@@ -64,31 +63,41 @@ pub enum ExportFormat {
     Kalibr,
 }
 
-/// Formats by their names on the command line.
-const FORMATS: [(&str, ExportFormat); 13] = [
-    ("colmap", ExportFormat::Colmap),
-    ("openmvs", ExportFormat::OpenMvs),
-    ("nerfstudio", ExportFormat::Nerfstudio),
-    ("gsplat", ExportFormat::Gsplat),
-    ("3dgs-deblur", ExportFormat::Deblur),
-    ("colmap-text", ExportFormat::ColmapText),
-    ("ply", ExportFormat::Ply),
-    ("las", ExportFormat::Las),
-    ("gltf", ExportFormat::Gltf),
-    ("tum", ExportFormat::Tum),
-    ("kitti", ExportFormat::Kitti),
-    ("bal", ExportFormat::Bal),
-    ("kalibr", ExportFormat::Kalibr),
-];
+impl ExportFormat {
+    /// All formats.
+    pub const ALL: [Self; 13] = [
+        Self::Colmap,
+        Self::OpenMvs,
+        Self::Nerfstudio,
+        Self::Gsplat,
+        Self::Deblur,
+        Self::ColmapText,
+        Self::Ply,
+        Self::Las,
+        Self::Gltf,
+        Self::Tum,
+        Self::Kitti,
+        Self::Bal,
+        Self::Kalibr,
+    ];
 
-impl FromStr for ExportFormat {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        let found = FORMATS.iter().find(|(name, _)| *name == text).map(|(_, format)| *format);
-        found.ok_or_else(|| {
-            format!("unknown format: use one of {}", FORMATS.map(|(name, _)| name).join(", "))
-        })
+    /// Its name.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Colmap => "colmap",
+            Self::OpenMvs => "openmvs",
+            Self::Nerfstudio => "nerfstudio",
+            Self::Gsplat => "gsplat",
+            Self::Deblur => "3dgs-deblur",
+            Self::ColmapText => "colmap-text",
+            Self::Ply => "ply",
+            Self::Las => "las",
+            Self::Gltf => "gltf",
+            Self::Tum => "tum",
+            Self::Kitti => "kitti",
+            Self::Bal => "bal",
+            Self::Kalibr => "kalibr",
+        }
     }
 }
 
