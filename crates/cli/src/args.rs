@@ -880,6 +880,39 @@ mod tests {
         <Cli as clap::CommandFactory>::command().debug_assert();
     }
 
+    /// Values of a fixed set that an option takes, by what clap tells completions.
+    fn values_of(command: &str, option: &str) -> Vec<String> {
+        let mut cli = <Cli as clap::CommandFactory>::command();
+        let command = cli.find_subcommand_mut(command).unwrap();
+        let arg = command.get_arguments().find(|arg| arg.get_long() == Some(option)).unwrap();
+        arg.get_possible_values().iter().map(|value| value.get_name().to_owned()).collect()
+    }
+
+    #[test]
+    fn completions_know_the_values_of_fixed_sets() {
+        for (command, option, some) in [
+            ("reconstruct", "rig", "rigid"),
+            ("reconstruct", "redo", "match"),
+            ("features", "cameras", "single"),
+            ("features", "camera-model", "OPENCV_FISHEYE"),
+            ("export", "to", "3dgs-deblur"),
+            ("synth", "route", "open"),
+            ("synth", "view-direction", "front-right"),
+        ] {
+            let values = values_of(command, option);
+            assert!(values.iter().any(|value| value == some), "--{option}: {values:?}");
+        }
+        let parse = |rig: &str| {
+            let words = ["tiepoint", "map", "ws", "--rig", rig];
+            match Cli::try_parse_from(words).ok()?.command {
+                Command::Map(map) => Some(map.mapping.rig),
+                _ => None,
+            }
+        };
+        assert!(RigMode::ALL.into_iter().all(|mode| parse(mode.name()) == Some(mode)));
+        assert_eq!((parse("hard"), parse("loose")), (Some(RigMode::Rigid), None));
+    }
+
     fn calibration(intrinsics: &str, model: Option<&str>) -> Result<Calibration, String> {
         Cameras {
             cameras: CameraGrouping::Auto,

@@ -142,9 +142,7 @@ mod tests {
                 (vehicle_from_cam.rotation * Vector3::y() - Vector3::y()).norm() < TOLERANCE,
                 "{direction:?}"
             );
-            assert_eq!(direction.name().parse::<ViewDirection>().unwrap(), direction);
         }
-        assert!("roof".parse::<ViewDirection>().is_err());
     }
 
     #[test]
