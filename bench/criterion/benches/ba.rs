@@ -1,8 +1,6 @@
 //! Time of the parts of a solve: analysis, one step, the cost alone, and covariances. The problem
 //! is a short drive of two cameras with fixed intrinsics.
 
-use std::ops::ControlFlow;
-
 use criterion::{BatchSize, Criterion, criterion_group, criterion_main};
 use tiepoint_ba::factors::Reprojection;
 use tiepoint_ba::nalgebra::{Vector2, Vector3, Vector4};
@@ -87,7 +85,7 @@ fn paths(criterion: &mut Criterion) {
             };
             let step = |(mut problem, solver): (Problem, Result<Solver, _>)| {
                 let solved = solver.and_then(|mut solver| {
-                    solver.solve(&mut problem, &mut |_| ControlFlow::Continue(()))
+                    solver.solve(&mut problem)
                 });
                 assert!(solved.is_ok_and(|summary| summary.iterations.len() == 1));
             };

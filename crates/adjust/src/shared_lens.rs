@@ -1,7 +1,8 @@
 //! The factor between two cameras that are one lens in portrait and landscape format. Its test
 //! includes this file, since it is no part of the interface.
 
-use tiepoint_ba::{Factor, Linear};
+use tiepoint_ba::Factor;
+use tiepoint_ba::factor::Linear;
 use tiepoint_geometry::nalgebra::{SMatrix, SVector};
 use tiepoint_geometry::{CameraModelKind, Intrinsics};
 

@@ -45,7 +45,7 @@ pub fn adjust(
         ..Options::default()
     };
     let problem = variables.problem_mut();
-    let summary = Solver::new(problem, &solver_options)?.solve(problem, watch)?;
+    let summary = Solver::new(problem, &solver_options)?.solve_with(problem, watch)?;
     // `RigidFrames::write_back` restores the frames with their new poses.
     model.frames.clear();
     variables.write_back(model);

@@ -6,13 +6,12 @@
 //! A factor of four poses between consecutive frames keeps the baseline constant; `--no-rig` leaves
 //! it out. With `--loop` the drive is a circle whose end sees the points of its start.
 #![allow(clippy::print_stdout)] // a program may
-
-use std::ops::ControlFlow;
 use std::time::Instant;
 
+use tiepoint_ba::factor::{Linear, Refs};
 use tiepoint_ba::factors::Reprojection;
 use tiepoint_ba::nalgebra::{Matrix3, SMatrix, SVector, Vector2, Vector3, Vector4};
-use tiepoint_ba::{EliminationOrder, Error, Factor, Linear, Loss, Options, Problem, Refs, Solver};
+use tiepoint_ba::{EliminationOrder, Error, Factor, Loss, Options, Problem, Solver};
 use tiepoint_geometry::cameras::Pinhole;
 use tiepoint_geometry::{CameraModel, Rigid3, Rng, so3};
 
@@ -170,7 +169,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let begin = Instant::now();
     let mut solver = Solver::new(&problem, &Options { max_iterations: 10, ..Options::default() })?;
     let analysis = begin.elapsed();
-    let summary = solver.solve(&mut problem, &mut |_| ControlFlow::Continue(()))?;
+    let summary = solver.solve(&mut problem)?;
     let steps = summary.iterations.len().max(1) as f64;
     // Time from step to step, without the first linearisation and its memory allocation.
     let mut durations: Vec<f64> = summary

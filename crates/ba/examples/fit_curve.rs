@@ -3,12 +3,9 @@
 //!
 //! `cargo run --example fit_curve`
 
-use std::ops::ControlFlow;
-
+use tiepoint_ba::autodiff::{AutoDiff, Residual, Scalar};
 use tiepoint_ba::nalgebra::Vector4;
-use tiepoint_ba::{
-    AutoDiff, EliminationOrder, Error, Loss, Options, Problem, Residual, Scalar, Solver,
-};
+use tiepoint_ba::{EliminationOrder, Error, Loss, Options, Problem, Solver};
 
 /// Measurement of a e^(−b t) cos(c t + d) at time `t`.
 struct Sample {
@@ -42,7 +39,7 @@ fn main() -> Result<(), Error> {
         problem.add(curve, AutoDiff(Sample { t, value, sigma }), Loss::Cauchy(1.0))?;
     }
     let mut solver = Solver::new(&problem, &Options::default())?;
-    let summary = solver.solve(&mut problem, &mut |_| ControlFlow::Continue(()))?;
+    let summary = solver.solve(&mut problem)?;
     println!("{summary}");
     println!("true  {truth:.3?}\nfound {:.3?}", problem.get(curve));
     Ok(())

@@ -1,11 +1,11 @@
 #![doc = include_str!("../README.md")]
 
-mod autodiff;
+pub mod autodiff;
 mod covariance;
 mod damping;
 mod eliminate;
 mod error;
-mod factor;
+pub mod factor;
 mod factor_group;
 pub mod factors;
 mod landmark_refinement;
@@ -16,7 +16,7 @@ mod options;
 mod problem;
 mod qr;
 mod reduced;
-mod retraction;
+pub mod retraction;
 mod schur;
 mod solver;
 mod spanning_tree;
@@ -25,14 +25,12 @@ mod summary;
 pub mod testing;
 mod variable;
 
-pub use autodiff::{AutoDiff, DIRECTIONS, Dual, Lift, LiftVars, Residual, RigidOf, Scalar};
 pub use covariance::Covariance;
 pub use error::Error;
-pub use factor::{Factor, IntoKeys, Linear, Refs, Vars};
+pub use factor::Factor;
 pub use nalgebra;
 pub use options::{LinearSolver, Options};
 pub use problem::{Cost, Problem};
-pub use retraction::{RetractedValues, Retraction, Step, TypedStep};
 pub use solver::Solver;
 pub use spanning_tree::SpanningTree;
 pub use summary::{IterationRecord, Summary, Termination, Times};

@@ -50,13 +50,21 @@ impl Solver {
         Ok(Self { options: options.clone(), system: system?, trial, revision: problem.revision })
     }
 
-    /// Minimises the cost over the problem's variables. `callback` is called after every attempted
-    /// step and may stop the solve.
+    /// Minimises the cost over the problem's variables.
     ///
     /// # Errors
     /// [`Error::StructureChanged`] if variables, factors or fixed directions have changed since
     /// [`Solver::new`]; [`Error::NotFinite`] if a factor is not finite at the initial values.
-    pub fn solve(
+    pub fn solve(&mut self, problem: &mut Problem) -> Result<Summary, Error> {
+        self.solve_with(problem, &mut |_| ControlFlow::Continue(()))
+    }
+
+    /// [`Solver::solve`] with a callback that is called after every attempted step and may stop the
+    /// solve.
+    ///
+    /// # Errors
+    /// As there.
+    pub fn solve_with(
         &mut self,
         problem: &mut Problem,
         callback: &mut dyn FnMut(&IterationRecord) -> ControlFlow<()>,

@@ -9,7 +9,8 @@
 //! in opposite directions. A difference of shortest vectors would change its sign there, so the
 //! factor represents both rotations by the vectors nearest to a given one.
 
-use tiepoint_ba::{Factor, Linear, Refs};
+use tiepoint_ba::Factor;
+use tiepoint_ba::factor::{Linear, Refs};
 use tiepoint_geometry::Rigid3;
 use tiepoint_geometry::nalgebra::SVector;
 

@@ -9,7 +9,8 @@
 //! covariance. Along the direction of motion the constraint is then as strong as the timestamps are
 //! accurate, and across it as strong as the extrinsics are constant.
 
-use tiepoint_ba::{Factor, Linear, Refs};
+use tiepoint_ba::Factor;
+use tiepoint_ba::factor::{Linear, Refs};
 use tiepoint_geometry::Rigid3;
 use tiepoint_geometry::nalgebra::{SMatrix, SVector, Vector2};
 

@@ -19,7 +19,8 @@
 //! and d(e/|c_T|) = (d c − d c_T)/|c_T| − e (c_T · d c_T)/|c_T|³, without the last term if a
 //! constant replaces |c_T|.
 
-use tiepoint_ba::{Factor, Linear, Refs};
+use tiepoint_ba::Factor;
+use tiepoint_ba::factor::{Linear, Refs};
 use tiepoint_geometry::nalgebra::{Matrix3, SMatrix, SVector};
 use tiepoint_geometry::{Rigid3, so3};
 

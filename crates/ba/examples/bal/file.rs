@@ -4,8 +4,9 @@
 use std::fmt::Write;
 use std::str::FromStr;
 
+use tiepoint_ba::autodiff::AutoDiff;
 use tiepoint_ba::nalgebra::{Vector2, Vector3};
-use tiepoint_ba::{AutoDiff, EliminationOrder, Key, Loss, Problem};
+use tiepoint_ba::{EliminationOrder, Key, Loss, Problem};
 use tiepoint_geometry::{Rigid3, so3};
 
 use crate::snavely::{Snavely, SnavelyResidual};

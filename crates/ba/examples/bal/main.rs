@@ -12,7 +12,6 @@ mod file;
 mod snavely;
 
 use std::error::Error;
-use std::ops::ControlFlow;
 use std::time::Instant;
 
 use file::{Bal, Derivatives};
@@ -42,7 +41,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let begin = Instant::now();
     let mut solver = Solver::new(&problem, &Options { max_iterations: 50, ..Options::default() })?;
     let analysis = begin.elapsed();
-    let summary = solver.solve(&mut problem, &mut |_| ControlFlow::Continue(()))?;
+    let summary = solver.solve(&mut problem)?;
     if trace {
         println!("{:.6} {:.9e}", analysis.as_secs_f64(), summary.initial_cost);
         for it in &summary.iterations {

@@ -4,8 +4,10 @@
 //! P = R X + t, p = −P_xy / P_z, s = |p|², pixel = f (1 + k₁ s + k₂ s²) p. The camera looks along
 //! −z. By this definition, points behind the camera project as well.
 
+use tiepoint_ba::Factor;
+use tiepoint_ba::autodiff::{Residual, RigidOf, Scalar};
+use tiepoint_ba::factor::{Linear, Refs};
 use tiepoint_ba::nalgebra::{Matrix2x3, SMatrix, Vector2, Vector3};
-use tiepoint_ba::{Factor, Linear, Refs, Residual, RigidOf, Scalar};
 use tiepoint_geometry::Rigid3;
 
 /// Reprojection error. Variables: `cam_from_world`, (f, k₁, k₂), `point_in_world`.
@@ -72,7 +74,8 @@ impl Factor<2> for Snavely {
     }
 }
 
-/// The same residual for automatic differentiation: wrap it in [`AutoDiff`](tiepoint_ba::AutoDiff).
+/// The same residual for automatic differentiation: wrap it in
+/// [`AutoDiff`](tiepoint_ba::autodiff::AutoDiff).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct SnavelyResidual(pub(crate) Snavely);
 

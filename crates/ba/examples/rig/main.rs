@@ -7,7 +7,6 @@
 mod stereo;
 
 use std::error::Error;
-use std::ops::ControlFlow;
 
 use stereo::{PoseErrors, RightIntrinsics, StereoData, pose_errors, true_poses};
 use tiepoint_ba::{Loss, Options, Solver};
@@ -43,7 +42,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     for right in [RightIntrinsics::Fixed, RightIntrinsics::PrincipalPointFree] {
         let mut adjustment = stereo.problem(Loss::Cauchy(2.0), right)?;
         let summary = Solver::new(&adjustment.problem, &Options::default())?
-            .solve(&mut adjustment.problem, &mut |_| ControlFlow::Continue(()))?;
+            .solve(&mut adjustment.problem)?;
         println!(
             "right intrinsics {right:?}, moved by {:.3} px: {summary}",
             adjustment.right_shift_px()

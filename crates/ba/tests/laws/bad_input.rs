@@ -3,11 +3,12 @@
 
 use std::ops::ControlFlow;
 
+use tiepoint_ba::factor::{Linear, Refs};
 use tiepoint_ba::factors::{Between, Prior, Reprojection};
 use tiepoint_ba::nalgebra::{SMatrix, SVector, Vector2, Vector3, Vector4};
 use tiepoint_ba::{
-    EliminationOrder, Error, Factor, Linear, LinearSolver, Loss, Options, Problem, Refs, Solver,
-    Summary, Termination,
+    EliminationOrder, Error, Factor, LinearSolver, Loss, Options, Problem, Solver, Summary,
+    Termination,
 };
 use tiepoint_geometry::Rigid3;
 use tiepoint_geometry::cameras::SimpleRadial;
@@ -27,7 +28,7 @@ const SOLVERS: [LinearSolver; 6] = [
 const ROUNDING: f64 = 1e-12;
 
 fn try_solve(problem: &mut Problem, options: &Options) -> Result<Summary, Error> {
-    Solver::new(problem, options)?.solve(problem, &mut |_| ControlFlow::Continue(()))
+    Solver::new(problem, options)?.solve(problem)
 }
 
 fn options_with(linear_solver: LinearSolver) -> Options {
@@ -287,10 +288,7 @@ fn invalid_input_is_reported() {
     problem.fix(b);
     let mut solver = Solver::new(&problem, &options).unwrap();
     problem.free(b);
-    assert_eq!(
-        solver.solve(&mut problem, &mut |_| ControlFlow::Continue(())),
-        Err(Error::StructureChanged)
-    );
+    assert_eq!(solver.solve(&mut problem), Err(Error::StructureChanged));
     let options = Options { function_tolerance: f64::NAN, ..Options::default() };
     assert!(matches!(
         Solver::new(&problem, &options),
@@ -309,12 +307,12 @@ fn a_cancelled_solve_can_be_resumed() {
     scene.fix_gauge();
     let mut solver = Solver::new(&scene.problem, &Options::default()).unwrap();
     let first = solver
-        .solve(&mut scene.problem, &mut |record| {
+        .solve_with(&mut scene.problem, &mut |record| {
             if record.number == 2 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
         })
         .unwrap();
     assert_eq!((first.termination, first.iterations.len()), (Termination::Cancelled, 2));
-    let second = solver.solve(&mut scene.problem, &mut |_| ControlFlow::Continue(())).unwrap();
+    let second = solver.solve(&mut scene.problem).unwrap();
     assert!((second.initial_cost - first.final_cost).abs() < ROUNDING * first.final_cost);
     assert_eq!(first.final_cost, first.iterations[1].cost);
     assert!(second.termination.converged() && second.final_cost < first.final_cost);

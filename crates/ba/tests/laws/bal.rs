@@ -1,9 +1,10 @@
 //! Problems of "Bundle adjustment in the large" reach the final cost of Ceres.
 
 use proptest::prelude::*;
+use tiepoint_ba::autodiff::AutoDiff;
 use tiepoint_ba::nalgebra::{Vector2, Vector3};
 use tiepoint_ba::testing::check_jacobians;
-use tiepoint_ba::{AutoDiff, Factor, LinearSolver, Options};
+use tiepoint_ba::{Factor, LinearSolver, Options};
 use tiepoint_geometry::{Rigid3, so3};
 
 use crate::file::{Bal, Derivatives};

@@ -2,10 +2,9 @@
 
 use std::ops::ControlFlow;
 
+use tiepoint_ba::autodiff::{AutoDiff, Residual, Scalar};
 use tiepoint_ba::nalgebra::SVector;
-use tiepoint_ba::{
-    AutoDiff, EliminationOrder, Loss, Options, Problem, Residual, Scalar, Solver, Termination,
-};
+use tiepoint_ba::{EliminationOrder, Loss, Options, Problem, Solver, Termination};
 
 /// x/√(1 + x²). Gauss-Newton goes from x to −x³, so from just below 1 a step hardly lowers the
 /// cost.
@@ -32,10 +31,11 @@ fn a_tiny_decrease_with_a_low_gain_ratio_does_not_end_the_solve() {
     problem.add(x, AutoDiff(Overshoots), Loss::Trivial).unwrap();
     let options = Options { initial_damping: NO_DAMPING, ..Options::default() };
     let mut first = None;
-    let summary = Solver::new(&problem, &options).unwrap().solve(&mut problem, &mut |record| {
-        first.get_or_insert(record.decrease / record.cost);
-        ControlFlow::Continue(())
-    });
+    let summary =
+        Solver::new(&problem, &options).unwrap().solve_with(&mut problem, &mut |record| {
+            first.get_or_insert(record.decrease / record.cost);
+            ControlFlow::Continue(())
+        });
     let summary = summary.unwrap();
     assert!((0.0..options.function_tolerance).contains(&first.unwrap()), "{first:?}");
     assert_ne!(summary.termination, Termination::MaxIterations);

@@ -1,11 +1,10 @@
 //! Covariances, compared with a problem without elimination, with a textbook formula, and with the
 //! scatter of estimates; and errors for undetermined variables.
 
+use tiepoint_ba::autodiff::{AutoDiff, Residual, Scalar};
 use tiepoint_ba::factors::{Prior, Reprojection, RigReprojection};
 use tiepoint_ba::nalgebra::{DMatrix, Vector2, Vector3, Vector4};
-use tiepoint_ba::{
-    AnyKey, AutoDiff, EliminationOrder, Error, Key, LinearSolver, Loss, Problem, Residual, Scalar,
-};
+use tiepoint_ba::{AnyKey, EliminationOrder, Error, Key, LinearSolver, Loss, Problem};
 use tiepoint_geometry::cameras::SimpleRadial;
 use tiepoint_geometry::{CameraModel, Rigid3, Rng};
 

@@ -3,10 +3,9 @@
 //! starts. The score is that of Ceres' `examples/nist.cc`: the number of certified digits of the
 //! worst parameter, at most 11; a run passes with more than 4.
 
-use std::ops::ControlFlow;
-
+use tiepoint_ba::autodiff::{AutoDiff, Residual, Scalar};
 use tiepoint_ba::nalgebra::SVector;
-use tiepoint_ba::{AutoDiff, EliminationOrder, Loss, Options, Problem, Residual, Scalar, Solver};
+use tiepoint_ba::{EliminationOrder, Loss, Options, Problem, Solver};
 
 /// Certified digits, and digits of a passed run, in Ceres' score.
 const CERTIFIED_DIGITS: f64 = 11.0;
@@ -98,7 +97,7 @@ fn digits<M: Model<N>, const N: usize>(text: &str, initial_damping: f64) -> [f64
             ..Options::default()
         };
         let mut solver = Solver::new(&problem, &options).unwrap();
-        let summary = solver.solve(&mut problem, &mut |_| ControlFlow::Continue(())).unwrap();
+        let summary = solver.solve(&mut problem).unwrap();
         assert_eq!(summary.linear_solver, "dense QR");
         let found = problem.get(b);
         let of_parameter = |(found, certified): (&f64, &f64)| {

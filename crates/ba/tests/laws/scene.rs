@@ -130,8 +130,5 @@ pub(crate) fn solve(
 }
 
 pub(crate) fn solve_as(problem: &mut Problem, options: &Options) -> Summary {
-    Solver::new(problem, options)
-        .unwrap()
-        .solve(problem, &mut |_| std::ops::ControlFlow::Continue(()))
-        .unwrap()
+    Solver::new(problem, options).unwrap().solve(problem).unwrap()
 }

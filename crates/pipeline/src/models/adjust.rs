@@ -145,7 +145,7 @@ fn adjust_bal(
         watch(&Event::AdjustmentStep { step: step.number, cost: step.cost })
     };
     let summary = Solver::new(&problem, &options)
-        .and_then(|mut solver| solver.solve(&mut problem, &mut watch))
+        .and_then(|mut solver| solver.solve_with(&mut problem, &mut watch))
         .map_err(Error::adjusting(path))?;
     let report = AdjustReport::new(&summary, start, cameras.len(), points.len())?;
     if let Some(output) = output {

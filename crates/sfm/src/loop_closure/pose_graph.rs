@@ -8,7 +8,6 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use rayon::prelude::*;
-use tiepoint_adjust::keep_going;
 use tiepoint_ba::factors::{Between, Relative};
 use tiepoint_ba::{EliminationOrder, Factor, Key, Options, Problem, Solver};
 use tiepoint_geometry::nalgebra::{Vector2, Vector3};
@@ -181,7 +180,7 @@ pub(crate) fn distribute_drift(
         function_tolerance: TOLERANCE,
         ..Options::default()
     };
-    Solver::new(&problem, &options)?.solve(&mut problem, &mut keep_going)?;
+    Solver::new(&problem, &options)?.solve(&mut problem)?;
     let corrections: BTreeMap<ImageId, Sim3> = keys
         .iter()
         .filter_map(|(id, key)| Some((*id, problem.get(*key).inverse() * *before.get(id)?)))

@@ -10,8 +10,8 @@
 use std::collections::BTreeMap;
 
 use rayon::prelude::*;
-use tiepoint_adjust::keep_going;
-use tiepoint_ba::{EliminationOrder, Factor, Linear, Options, Problem, Refs, Solver};
+use tiepoint_ba::factor::{Linear, Refs};
+use tiepoint_ba::{EliminationOrder, Factor, Options, Problem, Solver};
 use tiepoint_geometry::nalgebra::{Matrix2x3, Matrix3, SMatrix, Vector2, Vector3};
 use tiepoint_geometry::numeric::median;
 use tiepoint_geometry::{CameraModel, Intrinsics, Loss, Rigid3, Sim3, so3, with_camera_model};
@@ -273,7 +273,7 @@ fn refine(images: &[CommonImage], start: &Sim3, max_error_px: f64) -> Result<Sim
     if problem.num_residuals() == 0 {
         return Ok(*start);
     }
-    Solver::new(&problem, &Options::default())?.solve(&mut problem, &mut keep_going)?;
+    Solver::new(&problem, &Options::default())?.solve(&mut problem)?;
     Ok(problem.get(key))
 }
 

@@ -47,7 +47,6 @@ pub(crate) fn run_narrow(kernel: impl Kernel) {
 #[cfg(test)]
 #[allow(clippy::unwrap_used)] // the lint knows test functions, not their helpers
 mod tests {
-    use std::ops::ControlFlow;
 
     use nalgebra::{SVector, Vector2, Vector3};
     use tiepoint_geometry::cameras::{Opencv, Pinhole, SimplePinhole};
@@ -129,8 +128,8 @@ mod tests {
             ..Options::default()
         };
         FORCED.set(Some(set));
-        let summary = Solver::new(&problem, &options)
-            .and_then(|mut solver| solver.solve(&mut problem, &mut |_| ControlFlow::Continue(())));
+        let summary =
+            Solver::new(&problem, &options).and_then(|mut solver| solver.solve(&mut problem));
         FORCED.set(None);
         let summary = summary.unwrap();
         assert!(summary.final_cost < summary.initial_cost, "{set:?} {summary}");
