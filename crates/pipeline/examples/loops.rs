@@ -67,11 +67,13 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     for seed in argument(0, "1").split(',') {
         for direction in argument(1, "front").split(',') {
             println!("seed {seed}, {direction}:");
+            let facing = ViewDirection::ALL.into_iter().find(|facing| facing.name() == direction);
+            let facing = facing.ok_or("no such view direction")?;
             measure(&Drive::new(&DriveOptions {
                 seed: seed.parse()?,
                 route: RouteKind::Loop,
                 length_m: LENGTH_M,
-                mounts: Mount::stereo(direction.parse::<ViewDirection>()?, 0.5).to_vec(),
+                mounts: Mount::stereo(facing, 0.5).to_vec(),
                 motion: Motion { overlap_m: 0.5 * LENGTH_M, ..Motion::default() },
                 effects: argument(2, "all").parse()?,
                 rate_hz: argument(3, "5").parse()?,
