@@ -548,6 +548,25 @@ pub enum Error {
     /// An extractor or a matcher failed.
     #[error(transparent)]
     Method(Box<dyn std::error::Error + Send + Sync>),
+    /// A matcher does not give a list of matches for each pair.
+    #[error("the matcher gives {lists} lists of matches for {pairs} pairs of images")]
+    InvalidMatches {
+        /// Number of pairs.
+        pairs: usize,
+        /// Number of lists.
+        lists: usize,
+    },
+    /// A matcher names a keypoint that does not exist.
+    #[error(
+        "the matcher matches keypoints {} and {} of images with {} and {} keypoints",
+        .keypoints[0], .keypoints[1], .counts[0], .counts[1]
+    )]
+    InvalidMatch {
+        /// The keypoints.
+        keypoints: [u32; 2],
+        /// Numbers of keypoints of the two images.
+        counts: [usize; 2],
+    },
     /// The mapper failed.
     #[error(transparent)]
     Mapping(tiepoint_sfm::Error),

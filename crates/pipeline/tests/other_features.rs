@@ -338,6 +338,88 @@ fn retrieval_is_refused() {
     }
 }
 
+/// A matcher that finds a keypoint that no image has, or another number of lists than pairs.
+#[derive(Debug)]
+struct Wrong {
+    num_lists: usize,
+}
+
+impl Matcher for Wrong {
+    fn name(&self) -> &str {
+        "wrong"
+    }
+
+    fn options(&self) -> Vec<(&'static str, String)> {
+        Vec::new()
+    }
+
+    fn images(&self) -> Box<dyn PreparedImages> {
+        Box::new(Self { num_lists: self.num_lists })
+    }
+}
+
+impl PreparedImages for Wrong {
+    fn insert(&mut self, _: &[(u32, &Features)]) -> Result<(), Failure> {
+        Ok(())
+    }
+
+    fn retain(&mut self, _: &dyn Fn(u32) -> bool) {}
+
+    fn match_pairs(&self, _: &[Pair]) -> Result<Vec<Vec<Match>>, Failure> {
+        let none = Match { a: 0, b: 100_000, distance: 0.0 };
+        Ok(vec![vec![none]; self.num_lists])
+    }
+}
+
+/// An extractor with two keypoints for a descriptor.
+#[derive(Debug)]
+struct Uneven;
+
+impl Extractor for Uneven {
+    fn name(&self) -> &str {
+        "uneven"
+    }
+
+    fn options(&self) -> Vec<(&'static str, String)> {
+        Vec::new()
+    }
+
+    fn format(&self) -> DescriptorFormat {
+        DescriptorFormat::SIFT
+    }
+
+    fn memory_bytes(&self, _: u32, _: u32) -> u64 {
+        0
+    }
+
+    fn extract(&self, _: &GrayView<'_>, _: Option<&GrayView<'_>>) -> Result<Features, Failure> {
+        let keypoint = Keypoint { x: 1.0, y: 1.0, scale: 1.0, orientation: 0.0 };
+        Ok(Features { keypoints: vec![keypoint; 2], descriptors: vec![[0; 128]].into() })
+    }
+}
+
+#[test]
+fn results_that_do_not_fit_together_are_refused() {
+    let (folder, _) = folder();
+    let dir = tempfile::tempdir().unwrap();
+    let message = |options: &Options, workspace: &str| {
+        let workspace = dir.path().join(workspace);
+        reconstruct(&[folder.join("old")], &workspace, options, &mut go_on).unwrap_err().to_string()
+    };
+    for (num_lists, expected) in [
+        (0, "the matcher gives 0 lists of matches for 1 pairs"),
+        (1, "the matcher matches keypoints 0 and 100000 of images with"),
+    ] {
+        let matching =
+            MatchOptions { matcher: Arc::new(Wrong { num_lists }), ..Default::default() };
+        let text = message(&Options { matching, ..options() }, &format!("ws{num_lists}"));
+        assert!(text.contains(expected), "{text}");
+    }
+    let features = FeatureOptions { extractor: Arc::new(Uneven), ..FeatureOptions::default() };
+    let text = message(&Options { features, ..Options::default() }, "ws");
+    assert!(text.contains("the extractor uneven gives 2 keypoints and 1 descriptors"), "{text}");
+}
+
 /// A database with keypoints and descriptors of another kind and no pairs, as another program may
 /// leave it, is matched here.
 #[test]

@@ -96,7 +96,8 @@ impl Database {
     ///
     /// # Errors
     ///
-    /// If an image is not in the database, and if the file cannot be written.
+    /// If an image is not in the database, if descriptors are not those of SIFT and the file is of
+    /// a version that knows no others, and if the file cannot be written.
     pub fn write_features<'a>(
         &mut self,
         batch: impl IntoIterator<Item = (ImageId, &'a Features)>,
@@ -117,6 +118,12 @@ impl Database {
     /// Writes the features of the image with an id in the file.
     pub(super) fn put_features(&self, id: i64, features: &Features, has_kind: bool) -> Result<()> {
         let Features { keypoints, descriptors } = features;
+        if !has_kind && descriptors.format() != DescriptorFormat::SIFT {
+            return Err(self.content(format!(
+                "it has no column for the type of descriptors, and these are {}",
+                descriptors.format()
+            )));
+        }
         let data: Vec<u8> =
             keypoints.iter().flat_map(to_columns).flat_map(f32::to_le_bytes).collect();
         let sql = "INSERT OR REPLACE INTO keypoints(image_id, rows, cols, data) VALUES (?1, ?2, 6, \

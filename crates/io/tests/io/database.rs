@@ -264,8 +264,14 @@ fn descriptors_of_every_kind_are_kept() {
     let db = Database::open(&path).unwrap();
     let format = DescriptorFormat { kind: DescriptorKind::Bytes, dim: 512 };
     assert_eq!(db.descriptor_format().unwrap(), format);
-    assert_eq!(db.read_features(ImageId(1)).unwrap().descriptors.format(), format);
+    let features = db.read_features(ImageId(1)).unwrap();
+    assert_eq!(features.descriptors.format(), format);
     assert_eq!(db.image_without_descriptors().unwrap(), None);
+    db.close().unwrap();
+    let mut db = Database::open(&path).unwrap();
+    let error = db.write_features([(ImageId(1), &features)]).unwrap_err().to_string();
+    assert!(error.contains("no column for the type of descriptors"), "{error}");
+    db.write_features([(ImageId(1), &sift)]).unwrap();
 }
 
 #[test]

@@ -71,7 +71,7 @@ fn preemptive_matching_uses_the_largest_features() {
 
 #[test]
 fn matches_of_pairs_do_not_depend_on_the_number_of_threads() {
-    let sets = [0..40, 20..70, 0..0, 10..100].map(|range| features(range));
+    let sets = [0..40, 20..70, 0..0, 10..100].map(features);
     let numbered: Vec<(u32, &Features)> = (0..).zip(&sets).collect();
     let pairs = [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)];
     let of_pair = |&(i, j): &(u32, u32)| {

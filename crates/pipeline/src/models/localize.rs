@@ -16,8 +16,7 @@ use tiepoint_sfm::geometry::Rng;
 use tiepoint_sfm::matching::retrieval::{RetrievalIndex, Vocabulary};
 use tiepoint_sfm::matching::{Matcher, NearestNeighbours, PreparedImages};
 use tiepoint_sfm::scene::{
-    Camera, CameraId, CorrespondenceGraph, Image, ImageId, ImagePair, Match, Observation,
-    Reconstruction,
+    Camera, CameraId, CorrespondenceGraph, Image, ImageId, ImagePair, Observation, Reconstruction,
 };
 use tiepoint_sfm::{
     FilterOptions, ImageObservations, Localization, QueryCamera, RegisterOptions, VerifyOptions,
@@ -27,7 +26,7 @@ use tiepoint_store::Error as StoreError;
 
 use crate::stages::extraction::extract_photo;
 use crate::stages::pair_choice::learn_retrieval;
-use crate::stages::verification::verify;
+use crate::stages::verification::{match_pairs, verify};
 use crate::workspace::database_scene::read_scene;
 use crate::workspace::folder::{DATABASE, current_records, is_workspace};
 use crate::workspace::keypoints::keypoint;
@@ -424,8 +423,8 @@ impl ReferenceModel {
         // The image of a photo comes behind those of the database.
         let pairs: Vec<ImagePair> =
             candidates.iter().filter_map(|image| ImagePair::new(*image, own)).collect();
-        let numbers: Vec<(u32, u32)> = pairs.iter().map(|pair| (pair.a.0, pair.b.0)).collect();
-        let matched = self.images.match_pairs(&numbers).map_err(Error::Method)?;
+        let count = |image: ImageId| self.scene.image(image).keypoints.len();
+        let matched = match_pairs(&*self.images, &pairs, count)?;
         self.images.retain(&|image| image != own.0);
         let scene = &self.scene;
         let view = |image| ImageObservations {
@@ -434,8 +433,6 @@ impl ReferenceModel {
         };
         let two_views: Vec<_> = (pairs.par_iter().zip(matched))
             .map(|(pair, matches)| {
-                let matches: Vec<Match> =
-                    matches.iter().map(|found| Match { a: found.a, b: found.b }).collect();
                 (*pair, verify(*pair, view, &matches, &options.verify, options.seed))
             })
             .collect();

@@ -13,7 +13,7 @@ use tiepoint_io::database::Database;
 use tiepoint_io::features::{DescriptorFormat, Features};
 use tiepoint_sfm::geometry::Rng;
 use tiepoint_sfm::matching::{
-    self, AutoPairs, Matcher, NearestNeighbours, PairSelection, PreparedImages,
+    AutoPairs, Matcher, NearestNeighbours, PairSelection, PreparedImages,
 };
 use tiepoint_sfm::scene::{Camera, Image, ImageId, ImagePair, Keypoint, Match, TwoView};
 use tiepoint_sfm::{ImageObservations, VerifyOptions};
@@ -24,7 +24,7 @@ use crate::stages::foreign_database::{
 use crate::stages::option_keys;
 use crate::stages::pair_choice::{self, IMAGES_READ_AT_ONCE, PairChoice};
 use crate::stages::stationary::Removal;
-use crate::stages::verification::verify;
+use crate::stages::verification::{self, verify};
 use crate::workspace::keypoints::keypoint;
 use crate::workspace::option_names::PAIRS;
 use crate::workspace::records::Recipe;
@@ -270,16 +270,14 @@ impl Matching<'_> {
     /// Matches the descriptors of pairs and estimates their two-view geometries. The random seed
     /// depends only on `options.seed` and the pair.
     fn match_batch(&self, pairs: &[ImagePair], loaded: &LoadedImages) -> Result<Vec<Found>, Error> {
-        let numbers: Vec<(u32, u32)> = pairs.iter().map(|pair| (pair.a.0, pair.b.0)).collect();
-        let matched = loaded.images.match_pairs(&numbers).map_err(Error::Method)?;
+        let count = |image: ImageId| loaded.keypoints[&image].len();
+        let matched = verification::match_pairs(&*loaded.images, pairs, count)?;
         let view = |image: ImageId| ImageObservations {
             keypoints: &loaded.keypoints[&image],
             camera: &self.cameras[self.images[image.index()].camera.index()],
         };
         let MatchOptions { verify: options, seed, .. } = self.options;
-        let found = |(pair, matches): (&ImagePair, Vec<matching::Match>)| {
-            let matches: Vec<Match> =
-                matches.iter().map(|found| Match { a: found.a, b: found.b }).collect();
+        let found = |(pair, matches): (&ImagePair, Vec<Match>)| {
             let two_view = verify(*pair, view, &matches, options, *seed);
             (matches, two_view)
         };

@@ -252,8 +252,7 @@ fn for_all_images<T: Send>(
         let features = features.collect::<Result<Vec<_>, _>>()?;
         let descriptors = features.iter().map(|features| sift_of(database, features));
         let descriptors = descriptors.collect::<Result<Vec<_>, _>>()?;
-        let computed: Vec<T> =
-            descriptors.into_par_iter().map(|descriptors| compute(descriptors)).collect();
+        let computed: Vec<T> = descriptors.into_par_iter().map(&compute).collect();
         computed.into_iter().for_each(&mut take);
     }
     Ok(())
