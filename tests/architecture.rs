@@ -254,7 +254,6 @@ const TO_SPLIT: &[(&str, usize)] = &[
     ("crates/features/src/octave.rs: compute_tile", 132),
     ("crates/io/src/database/rigs.rs: write_rigs", 85),
     ("crates/input/src/cameras/calibration.rs: assign", 113),
-    ("crates/colmap/src/extract.rs: extract", 81),
     ("crates/pipeline/src/stages/option_keys.rs: texts_of_other_values_are_fixed", 105),
     ("crates/sfm/src/rigs/extrinsics_term.rs: add", 111),
     ("crates/sfm/src/two_view/verify.rs: verify_pair", 86),

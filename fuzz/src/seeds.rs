@@ -4,14 +4,14 @@
 use std::path::Path;
 
 use tiepoint_fuzz::{DIVIDER, SIDECAR, TIMES, folder, write, write_model};
+use tiepoint_input::Rgb;
+use tiepoint_io::bal::Bal;
 use tiepoint_io::colmap::{self, Format};
 use tiepoint_io::database::{Database, StageRow};
 use tiepoint_io::features::{Features, Keypoint};
 use tiepoint_io::scene::{ImageId, ImagePair, Match, TwoView, TwoViewKind};
 use tiepoint_io::trajectory::{self, TimedPose};
-use tiepoint_io::bal::Bal;
 use tiepoint_io::{las, ply};
-use tiepoint_input::Rgb;
 
 type Outcome = Result<(), Box<dyn std::error::Error>>;
 
@@ -170,7 +170,7 @@ fn main() -> Outcome {
     database.write_images(&images)?;
     database.write_rigs(&[], &[])?;
     let keypoint = Keypoint { x: 1.0, y: 2.0, scale: 3.0, orientation: 0.5 };
-    let features = Features { keypoints: vec![keypoint; 2], descriptors: vec![[7; 128]; 2] };
+    let features = Features { keypoints: vec![keypoint; 2], descriptors: vec![[7; 128]; 2].into() };
     database.write_features([(ImageId(0), &features), (ImageId(1), &features)])?;
     let pair = ImagePair::new(ImageId(0), ImageId(1)).ok_or("a pair")?;
     let matches = vec![Match { a: 0, b: 1 }, Match { a: 1, b: 0 }];

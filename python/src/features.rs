@@ -3,7 +3,7 @@
 use numpy::ndarray::Ix2;
 use numpy::{PyArray2, PyReadonlyArray2};
 use pyo3::prelude::*;
-use tiepoint_features::{Descriptor, GrayView, Options, Orientation, Sift};
+use tiepoint_features::{Descriptors, GrayView, Options, Orientation, Sift};
 use tiepoint_matching::match_features;
 
 use crate::arrays::{bytes, invalid_array, matrix};
@@ -46,7 +46,10 @@ pub(crate) fn sift<'py>(
     let found = found.map_err(failed)?;
     let keypoints: Vec<[f32; 4]> =
         found.keypoints.iter().map(|k| [k.x, k.y, k.scale, k.orientation]).collect();
-    Ok((matrix(python, &keypoints), matrix(python, &found.descriptors)))
+    Ok((
+        matrix(python, &keypoints),
+        matrix(python, found.descriptors.as_sift().unwrap_or_default()),
+    ))
 }
 
 /// Matches of two sets of descriptors, uint8 of shape (N, 128): indices of shape (M, 2). Exact
@@ -93,12 +96,16 @@ fn mask_of(mask: &Bound<'_, PyAny>, shape: (usize, usize)) -> PyResult<Vec<u8>> 
     Ok(pixels.into_iter().collect())
 }
 
-fn descriptors(value: &Bound<'_, PyAny>, name: &str) -> PyResult<Vec<Descriptor>> {
+fn descriptors(value: &Bound<'_, PyAny>, name: &str) -> PyResult<Descriptors> {
     const SHAPE: &str = "(N, 128)";
     let array = bytes::<Ix2>(value, name, SHAPE)?;
     let array = array.as_array();
     if array.ncols() != 128 {
         return Err(invalid_array(value, name, "uint8", SHAPE));
     }
-    Ok(array.rows().into_iter().map(|row| std::array::from_fn(|at| row[at])).collect())
+    Ok(array
+        .rows()
+        .into_iter()
+        .map(|row| std::array::from_fn::<u8, 128, _>(|at| row[at]))
+        .collect())
 }

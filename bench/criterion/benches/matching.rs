@@ -4,17 +4,16 @@
 use std::hint::black_box;
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
-use tiepoint_features::{Descriptor, Features, Keypoint};
-use tiepoint_matching::{
-    Checks, EpipolarGuide, Forest, ForestOptions, Isa, Options, Prepared, match_guided,
-    match_prepared, nearest_on,
-};
+use tiepoint_features::{Features, Keypoint, SiftDescriptor};
+use tiepoint_matching::forest::{Checks, Forest, ForestOptions};
+use tiepoint_matching::sift::{Isa, Prepared, match_prepared, nearest_on};
+use tiepoint_matching::{EpipolarGuide, Options, match_guided};
 
 /// Number of features: the default maximum of COLMAP and of `tiepoint-features`.
 const FEATURES: usize = 8192;
 
 /// Random bytes: the time of brute force does not depend on the values.
-fn descriptors(seed: u64) -> Vec<Descriptor> {
+fn descriptors(seed: u64) -> Vec<SiftDescriptor> {
     let mut state = seed;
     let mut byte = || {
         state =
@@ -66,7 +65,7 @@ fn guided(criterion: &mut Criterion) {
     // Images of 3000 x 2000 pixels with a translation along x.
     let features = |seed| {
         let descriptors = descriptors(seed);
-        let keypoint = |d: &Descriptor| {
+        let keypoint = |d: &SiftDescriptor| {
             let fraction = |at: usize| (f32::from(d[at]) + f32::from(d[at + 1]) / 128.0) / 128.0;
             Keypoint {
                 x: 3000.0 * fraction(0),
@@ -75,7 +74,8 @@ fn guided(criterion: &mut Criterion) {
                 orientation: 0.0,
             }
         };
-        Features { keypoints: descriptors.iter().map(keypoint).collect(), descriptors }
+        let keypoints = descriptors.iter().map(keypoint).collect();
+        Features { keypoints, descriptors: descriptors.into() }
     };
     let (a, b) = (features(1), features(2));
     let fundamental = [[0.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]];

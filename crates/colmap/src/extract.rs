@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::Instant;
 
 use rayon::prelude::*;
@@ -9,10 +10,10 @@ use serde::Serialize;
 use tiepoint_pipeline::input::parallel::{budget_bytes, for_each_within_budget};
 use tiepoint_pipeline::input::{ImageFolder, ImageInfo};
 use tiepoint_pipeline::io::database::Database;
-use tiepoint_pipeline::io::features::{self as sift, Features};
+use tiepoint_pipeline::io::features::{Extractor, Features, SiftExtractor};
 use tiepoint_pipeline::sfm::geometry::{CameraModelKind, Intrinsics};
 use tiepoint_pipeline::sfm::scene::{Camera, CameraId, Image, ImageId};
-use tiepoint_pipeline::stages::{Extractors, memory_of};
+use tiepoint_pipeline::stages::{extract_image, memory_of};
 use tiepoint_pipeline::{Error, Event, Stage, Watch, emit};
 
 use super::scene::open_to_add;
@@ -54,8 +55,8 @@ pub struct ExtractOptions {
     pub focal_factor: f64,
     /// Features are detected on images that are reduced to this larger side; `None`: at full size.
     pub max_image_size: Option<u32>,
-    /// Options of SIFT.
-    pub detector: sift::Options,
+    /// What detects and describes keypoints.
+    pub extractor: Arc<dyn Extractor>,
 }
 
 impl Default for ExtractOptions {
@@ -69,7 +70,7 @@ impl Default for ExtractOptions {
             params: None,
             focal_factor: 1.2,
             max_image_size: None,
-            detector: sift::Options::default(),
+            extractor: Arc::new(SiftExtractor::default()),
         }
     }
 }
@@ -106,7 +107,6 @@ pub fn extract(
     watch: Watch,
 ) -> Result<Extracted, Error> {
     let start = Instant::now();
-    options.detector.validate()?;
     let folder = ImageFolder::as_stored(images, options.masks.as_deref())?;
     let folder = match &options.camera_mask {
         Some(mask) => folder.with_one_mask(mask),
@@ -156,12 +156,12 @@ pub fn extract(
             Err(why) => skip(&image.name, &why, watch)?,
         }
     }
-    let extractors = Extractors::new(options.detector);
-    let work = |task: &Task| extract_one(&folder, task, options.max_image_size, &extractors);
+    let extractor = &*options.extractor;
+    let work = |task: &Task| extract_one(&folder, task, options.max_image_size, extractor);
     let (mut taken_images, mut keypoints) = (0, 0);
     let taken = for_each_within_budget(
         budget_bytes(),
-        |task| memory_of(&task.info),
+        |task| memory_of(extractor, &task.info),
         &tasks,
         work,
         |task, found: Result<Features, Error>| {
@@ -353,16 +353,16 @@ fn extract_one(
     folder: &ImageFolder,
     task: &Task,
     max_image_size: Option<u32>,
-    extractors: &Extractors,
+    extractor: &dyn Extractor,
 ) -> Result<Features, Error> {
     let (image, mask) = (folder.luma(task.index)?, folder.mask(task.index)?);
     let reduced = max_image_size.and_then(|most| reduced_size(image.width, image.height, most));
     match reduced {
-        None => extractors.extract(&image, mask.as_ref()),
+        None => extract_image(extractor, &image, mask.as_ref()),
         Some((width, height)) => {
             let small = image.resized(width, height);
             let mask = mask.map(|mask| mask.resized(width, height));
-            let mut features = extractors.extract(&small, mask.as_ref())?;
+            let mut features = extract_image(extractor, &small, mask.as_ref())?;
             let x = image.width as f32 / width as f32;
             let y = image.height as f32 / height as f32;
             for keypoint in &mut features.keypoints {

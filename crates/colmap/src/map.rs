@@ -137,7 +137,7 @@ fn run(
     watch: Watch,
 ) -> Result<Vec<MappedModel>, Error> {
     // Without descriptors, no images are matched again.
-    let mut descriptors = |_: ImageId| Vec::new();
+    let mut descriptors = |_: ImageId| Default::default();
     let mapper = &options.mapper;
     let extended = options.input.as_deref().map(|path| transferred(scene, path)).transpose()?;
     let scene = extended.as_ref().map_or(scene, |extended| &extended.scene);

@@ -74,7 +74,8 @@ impl DatabasePairs {
 /// # Errors
 ///
 /// The options are invalid; the file is not a database of COLMAP, has no images, or has features
-/// other than SIFT; it cannot be read or written; `watch` returns `Break`.
+/// without descriptors; similar images are asked for, and the descriptors are not those of SIFT; it
+/// cannot be read or written; `watch` returns `Break`.
 pub fn match_database(
     path: &Path,
     pairs: DatabasePairs,
@@ -82,11 +83,10 @@ pub fn match_database(
     watch: Watch,
 ) -> Result<MatchReport, Error> {
     let start = Instant::now();
-    options.descriptors.validate()?;
     options.verify.validate()?;
     let mut database = open_to_add(path)?;
-    if let Some(image) = database.image_without_sift()? {
-        return Err(Error::NoSift { path: path.to_owned(), image });
+    if let Some(image) = database.image_without_descriptors()? {
+        return Err(Error::NoDescriptors { path: path.to_owned(), image });
     }
     let images = database.read_images()?;
     if images.is_empty() {

@@ -12,9 +12,10 @@
 
 #![allow(clippy::print_stdout)] // A program.
 
-use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
+
+use rayon::prelude::*;
 use tiepoint_features::{DomainSizes, Features, GrayView, Limit, Options, Sift};
 
 type Failure = Box<dyn std::error::Error + Send + Sync>;
@@ -37,7 +38,7 @@ fn write(path: &Path, features: &Features) -> Result<(), Failure> {
     for k in &features.keypoints {
         bytes.extend([k.x, k.y, k.scale, k.orientation].iter().flat_map(|v| v.to_le_bytes()));
     }
-    bytes.extend(features.descriptors.as_flattened());
+    bytes.extend(features.descriptors.as_sift().unwrap_or_default().as_flattened());
     Ok(std::fs::write(path, bytes)?)
 }
 

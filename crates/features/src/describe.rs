@@ -1,5 +1,9 @@
 //! Orientations and descriptors of the extrema of an octave.
 
+use std::num::NonZeroUsize;
+
+use rayon::prelude::*;
+
 use crate::descriptor::{Frame, compute_descriptor, window_radius};
 use crate::extrema::Extremum;
 use crate::gradient::Level;
@@ -7,9 +11,7 @@ use crate::octave::OctavePlan;
 use crate::options::Orientation;
 use crate::orientation::{DominantOrientations, MAX_PEAKS, dominant_orientations};
 use crate::simd::{Isa, Simd, Task, dispatch};
-use crate::{Descriptor, Options};
-use rayon::prelude::*;
-use std::num::NonZeroUsize;
+use crate::{Options, SiftDescriptor};
 
 /// Number of extrema per parallel task.
 const TASK_SIZE: usize = 64;
@@ -20,7 +22,7 @@ pub(crate) struct Description {
     /// Dominant orientations.
     pub(crate) orientations: DominantOrientations,
     /// Descriptors: entry `i` is for orientation `i`; the others are unused.
-    pub(crate) descriptors: [Descriptor; MAX_PEAKS],
+    pub(crate) descriptors: [SiftDescriptor; MAX_PEAKS],
 }
 
 impl Default for Description {

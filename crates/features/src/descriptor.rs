@@ -6,11 +6,12 @@
 //! that border samples need no tests. A vector of sixteen lanes holds the eight directions of two
 //! cells that are adjacent in x. A sample adds one such vector to each of two rows of cells.
 
+use std::f32::consts::TAU;
+
+use crate::SiftDescriptor;
 use crate::gradient::{Gradient, Level, exp_minus};
 use crate::options::{Normalization, Options};
 use crate::simd::{LANES, Simd};
-use crate::types::Descriptor;
-use std::f32::consts::TAU;
 
 /// Number of cells along each side.
 const CELLS: usize = 4;
@@ -82,7 +83,7 @@ pub(crate) fn compute_descriptor<S: Simd>(
     level: &Level<'_>,
     frame: Frame,
     options: &Options,
-) -> Descriptor {
+) -> SiftDescriptor {
     let values = match options.domain_sizes {
         None => normalised(cells(&histogram::<S>(level, frame))),
         Some(sizes) => {
@@ -308,7 +309,7 @@ fn normalised(mut values: [f32; LEN]) -> [f32; LEN] {
 
 /// Converts a unit descriptor to bytes, as RootSIFT if `normalization` asks for it.
 #[inline(always)]
-fn to_bytes(mut values: [f32; LEN], normalization: Normalization) -> Descriptor {
+fn to_bytes(mut values: [f32; LEN], normalization: Normalization) -> SiftDescriptor {
     if normalization == Normalization::RootL1 {
         let sum = sum_of(&values, |n| n).max(f32::MIN_POSITIVE);
         for n in &mut values {

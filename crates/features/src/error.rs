@@ -1,5 +1,7 @@
 //! The error type.
 
+use crate::DescriptorFormat;
+
 /// Errors of feature extraction.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
@@ -55,5 +57,15 @@ pub enum Error {
         value: f64,
         /// Its range.
         range: &'static str,
+    },
+    /// Entries do not make descriptors of a format.
+    #[error("descriptors of {format} cannot have {count} {entries} in all")]
+    Descriptors {
+        /// The format.
+        format: DescriptorFormat,
+        /// Number of entries.
+        count: usize,
+        /// What they are: bytes or floats.
+        entries: &'static str,
     },
 }

@@ -1,5 +1,8 @@
 //! SIFT: detection in octaves, selection of extrema, orientations and descriptors.
 
+use std::f32::consts::{PI, TAU};
+use std::num::NonZeroUsize;
+
 use crate::bands::{OctaveJob, compute_octave};
 use crate::buffer::AlignedBuf;
 use crate::describe::{Description, describe_extrema, window_rows};
@@ -10,8 +13,6 @@ use crate::options::Limit;
 use crate::simd::Isa;
 use crate::source::Source;
 use crate::{Error, Features, GrayView, Keypoint, Options};
-use std::f32::consts::{PI, TAU};
-use std::num::NonZeroUsize;
 
 /// Minimum width and height of an octave: all extrema of a smaller octave are at its border.
 const MIN_SIDE: usize = 8;
@@ -121,15 +122,15 @@ impl Sift {
             Limit::WholeLevels => usize::MAX,
             Limit::Exact => self.options.max_features,
         };
-        let mut features = Features::default();
+        let (mut keypoints, mut descriptors) = (Vec::new(), Vec::new());
         for (extremum, description) in extrema.iter().zip(&descriptions) {
             let oriented = description.orientations.as_slice().iter().zip(&description.descriptors);
-            for (&angle, &descriptor) in oriented.take(max_features - features.keypoints.len()) {
-                features.keypoints.push(keypoint(extremum, angle));
-                features.descriptors.push(descriptor);
+            for (&angle, &descriptor) in oriented.take(max_features - keypoints.len()) {
+                keypoints.push(keypoint(extremum, angle));
+                descriptors.push(descriptor);
             }
         }
-        Ok(features)
+        Ok(Features { keypoints, descriptors: descriptors.into() })
     }
 
     /// Detects and selects extrema. Returns them from coarse to fine, and the computed octaves, of

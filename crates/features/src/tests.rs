@@ -1,5 +1,9 @@
 //! Comparison with a reference implementation, between instruction sets, and with known keypoints.
 
+use std::num::NonZeroUsize;
+
+use proptest::prelude::*;
+
 use crate::bands::{OctaveJob, compute_octave};
 use crate::buffer::AlignedBuf;
 use crate::describe::describe_extrema;
@@ -8,8 +12,6 @@ use crate::octave::OctavePlan;
 use crate::simd::Isa;
 use crate::source::Source;
 use crate::{DomainSizes, Features, GrayView, Limit, Options, Orientation, Sift};
-use proptest::prelude::*;
-use std::num::NonZeroUsize;
 
 mod reference;
 use reference::*;
@@ -42,6 +44,10 @@ fn texture(width: usize, height: usize, seed: u64) -> Vec<u8> {
     image.iter().map(|&v| (v + 4.0 * (random() - 0.5)).clamp(0.0, 255.0) as u8).collect()
 }
 
+fn sift(features: &Features) -> &[crate::SiftDescriptor] {
+    features.descriptors.as_sift().unwrap()
+}
+
 fn extract_on(isa: Isa, options: Options, view: &GrayView<'_>) -> Features {
     let mut sift = Sift::new(options).unwrap();
     sift.isa = isa;
@@ -59,14 +65,12 @@ fn every_instruction_set_gives_the_same_bits() {
     let pooled = Options { domain_sizes: Some(DomainSizes::default()), ..options };
     let portable_pooled = extract_on(Isa::PORTABLE, pooled, &view);
     // The same keypoints in the same order, without duplicates.
-    let mut all = portable.keypoints.iter().zip(&portable.descriptors);
-    let sift_descriptor = |keypoint| all.find(|sift| sift.0 == keypoint).unwrap().1;
-    let sift: Vec<&crate::Descriptor> =
-        portable_pooled.keypoints.iter().map(sift_descriptor).collect();
-    assert!(
-        sift.len() > portable.keypoints.len() * 9 / 10 && sift.len() < portable.keypoints.len()
-    );
-    assert!(sift.iter().zip(&portable_pooled.descriptors).all(|(&sift, pooled)| sift != pooled));
+    let mut all = portable.keypoints.iter().zip(sift(&portable));
+    let own_descriptor = |keypoint| all.find(|own| own.0 == keypoint).unwrap().1;
+    let own: Vec<&crate::SiftDescriptor> =
+        portable_pooled.keypoints.iter().map(own_descriptor).collect();
+    assert!(own.len() > portable.keypoints.len() * 9 / 10 && own.len() < portable.keypoints.len());
+    assert!(own.iter().zip(sift(&portable_pooled)).all(|(&own, pooled)| own != pooled));
     for isa in Isa::available() {
         assert!(extract_on(isa, options, &view) == portable, "{isa:?}");
         assert!(extract_on(isa, pooled, &view) == portable_pooled, "{isa:?}");
@@ -353,7 +357,7 @@ fn rotation_by_90_degrees_rotates_keypoints_and_keeps_descriptors() {
     let a = extract_on(Isa::best(), options, &GrayView::new(&image, width, height));
     let b = extract_on(Isa::best(), options, &GrayView::new(&other, height, width));
     let (mut found, mut same) = (0, 0);
-    for (k, d) in a.keypoints.iter().zip(&a.descriptors) {
+    for (k, d) in a.keypoints.iter().zip(sift(&a)) {
         let (x, y) = (height as f32 - k.y, k.x);
         let angle = k.orientation + std::f32::consts::FRAC_PI_2;
         let matched = b.keypoints.iter().position(|t| {
@@ -364,9 +368,8 @@ fn rotation_by_90_degrees_rotates_keypoints_and_keeps_descriptors() {
         });
         if let Some(matched) = matched {
             found += 1;
-            same += usize::from(
-                d.iter().zip(&b.descriptors[matched]).all(|(&p, &q)| p.abs_diff(q) <= 3),
-            );
+            same +=
+                usize::from(d.iter().zip(&sift(&b)[matched]).all(|(&p, &q)| p.abs_diff(q) <= 3));
         }
     }
     assert!(
@@ -397,7 +400,7 @@ fn masks_and_limits_select_keypoints() {
         let few = extract_on(Isa::best(), exact, &view);
         // The coarsest features, whether or not the doubled octave was computed.
         assert_eq!(few.keypoints, all.keypoints[..max_features]);
-        assert_eq!(few.descriptors, all.descriptors[..max_features]);
+        assert_eq!(sift(&few), &sift(&all)[..max_features]);
         let levels = extract_on(Isa::best(), Options { max_features, ..Options::default() }, &view);
         assert_eq!(levels.keypoints, all.keypoints[..levels.keypoints.len()]);
         assert!(
@@ -453,7 +456,7 @@ proptest! {
             prop_assert!(k.x >= 0.0 && k.x <= width as f32 && k.y >= 0.0 && k.y <= height as f32);
             prop_assert!(k.scale > 0.0 && k.orientation.abs() <= std::f32::consts::PI);
         }
-        for d in &features.descriptors {
+        for d in sift(&features) {
             // Norm 512, with a rounding error of up to one half per value.
             let norm = d.iter().map(|&v| f32::from(v).powi(2)).sum::<f32>().sqrt();
             prop_assert!((norm - 512.0).abs() < 6.0 || norm == 0.0, "{}", norm);

@@ -29,7 +29,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         features_b.keypoints.len()
     );
     // Matches of the smallest distances are drawn last, over the others.
-    matches.sort_by_key(|m| m.distance);
+    matches.sort_by(|a, b| a.distance.total_cmp(&b.distance));
     matches.truncate(max);
     let mut canvas = RgbImage::new(a.width() + b.width(), a.height().max(b.height()));
     imageops::replace(&mut canvas, &DynamicImage::from(a.clone()).to_rgb8(), 0, 0);

@@ -8,8 +8,9 @@
 use std::error::Error;
 use std::time::Instant;
 
-use tiepoint_features::Descriptor;
-use tiepoint_matching::{Isa, Options, match_features};
+use tiepoint_features::{Descriptors, SiftDescriptor};
+use tiepoint_matching::sift::Isa;
+use tiepoint_matching::{Options, match_features};
 
 fn main() -> Result<(), Box<dyn Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
@@ -34,10 +35,10 @@ fn main() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-fn read(path: &str) -> Result<Vec<Descriptor>, Box<dyn Error>> {
+fn read(path: &str) -> Result<Descriptors, Box<dyn Error>> {
     let bytes = std::fs::read(path).map_err(|error| format!("{path}: {error}"))?;
     match bytes.as_chunks::<128>() {
-        (descriptors, []) => Ok(descriptors.to_vec()),
+        (descriptors, []) => Ok(descriptors.to_vec().into()),
         (_, rest) => {
             Err(format!("{path}: {} bytes more than a multiple of 128", rest.len()).into())
         }
@@ -46,14 +47,14 @@ fn read(path: &str) -> Result<Vec<Descriptor>, Box<dyn Error>> {
 
 /// Synthetic images: 1000 random descriptors of norm 512, of which every second one is in the
 /// second image with noise.
-fn synthetic_images() -> (Vec<Descriptor>, Vec<Descriptor>) {
+fn synthetic_images() -> (Descriptors, Descriptors) {
     let mut state = 1u64;
     let mut random = || {
         state =
             state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         (state >> 40) as f64 / (1u64 << 24) as f64
     };
-    let unit = |values: [f64; 128]| -> Descriptor {
+    let unit = |values: [f64; 128]| -> SiftDescriptor {
         let length = values.iter().map(|x| x * x).sum::<f64>().sqrt();
         values.map(|x| (512.0 * x / length).round().min(255.0) as u8)
     };
@@ -67,5 +68,5 @@ fn synthetic_images() -> (Vec<Descriptor>, Vec<Descriptor>) {
         b.push(unit(seen_again));
     }
     b.reverse();
-    (a, b)
+    (a.into(), b.into())
 }

@@ -11,11 +11,9 @@
 use std::error::Error;
 use std::time::Instant;
 
-use tiepoint_features::{Descriptor, Features, Keypoint};
-use tiepoint_matching::{
-    Match, Options, PairSelection, PreemptiveMatching, Prepared, Sequence, match_features,
-    match_prepared,
-};
+use tiepoint_features::SiftDescriptor;
+use tiepoint_matching::sift::{Prepared, match_prepared};
+use tiepoint_matching::{Match, Options, PairSelection, PreemptiveMatching, Sequence};
 
 /// The evaluated numbers of leading features.
 const LEADING: [usize; 4] = [128, 256, 512, 1024];
@@ -25,11 +23,13 @@ fn main() -> Result<(), Box<dyn Error>> {
     let [overlap, stems @ ..] = arguments.as_slice() else {
         return Err("usage: preempt REACH STEM...".into());
     };
-    let images: Vec<Features> = stems.iter().map(|stem| read(stem)).collect::<Result<_, _>>()?;
-    let leading: Vec<Vec<Vec<Descriptor>>> =
-        images.iter().map(|image| LEADING.map(|n| largest(image, n)).into()).collect();
-    let prepared: Vec<Prepared> =
-        images.iter().map(|image| Prepared::from_features(image, 512)).collect();
+    let images: Vec<Image> = stems.iter().map(|stem| read(stem)).collect::<Result<_, _>>()?;
+    let leading: Vec<[Prepared; LEADING.len()]> =
+        images.iter().map(|image| LEADING.map(|n| image.largest(n))).collect();
+    let prepared: Vec<Prepared> = images
+        .iter()
+        .map(|image| Prepared::with_leading(&image.descriptors, image.order(512)))
+        .collect();
     let selection =
         PairSelection::Sequential { overlap: overlap.parse()?, is_closed: false, loops: 0 };
     let options = Options::default();
@@ -44,7 +44,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         match_prepared(&prepared[a], &prepared[b], &always_preempted);
         let preempt_ms = 1e3 * start.elapsed().as_secs_f64();
         let counts: Vec<usize> = (0..LEADING.len())
-            .map(|k| match_features(&leading[a][k], &leading[b][k], &options).len())
+            .map(|k| match_prepared(&leading[a][k], &leading[b][k], &options).len())
             .collect();
         let list = |index: fn(&Match) -> u32| matches.iter().map(index).collect::<Vec<_>>();
         print!(r#"{{"i":{i},"j":{j},"leading":{LEADING:?},"counts":{counts:?},"#);
@@ -57,25 +57,33 @@ fn main() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-fn largest(image: &Features, count: usize) -> Vec<Descriptor> {
-    let mut order: Vec<usize> = (0..image.keypoints.len()).collect();
-    order.sort_by(|&i, &j| image.keypoints[j].scale.total_cmp(&image.keypoints[i].scale));
-    order.iter().take(count).map(|&i| image.descriptors[i]).collect()
+/// The descriptors of an image, and their indices in descending order of the scales.
+struct Image {
+    descriptors: Vec<SiftDescriptor>,
+    order: Vec<usize>,
 }
 
-fn read(stem: &str) -> Result<Features, Box<dyn Error>> {
+impl Image {
+    fn order(&self, count: usize) -> &[usize] {
+        &self.order[..self.order.len().min(count)]
+    }
+
+    fn largest(&self, count: usize) -> Prepared {
+        let all: Vec<SiftDescriptor> =
+            self.order(count).iter().map(|&i| self.descriptors[i]).collect();
+        Prepared::new(&all)
+    }
+}
+
+fn read(stem: &str) -> Result<Image, Box<dyn Error>> {
     let load = |extension| {
         let path = format!("{stem}.{extension}");
         std::fs::read(&path).map_err(|error| format!("{path}: {error}"))
     };
     let descriptors = load("u8")?.as_chunks::<128>().0.to_vec();
-    let scales = load("f32")?;
-    let keypoints = scales.as_chunks::<4>().0.iter();
-    let keypoints = keypoints.map(|&bytes| Keypoint {
-        x: 0.0,
-        y: 0.0,
-        scale: f32::from_le_bytes(bytes),
-        orientation: 0.0,
-    });
-    Ok(Features { keypoints: keypoints.collect(), descriptors })
+    let scales: Vec<f32> =
+        load("f32")?.as_chunks().0.iter().map(|&bytes| f32::from_le_bytes(bytes)).collect();
+    let mut order: Vec<usize> = (0..descriptors.len().min(scales.len())).collect();
+    order.sort_by(|&i, &j| scales[j].total_cmp(&scales[i]));
+    Ok(Image { descriptors, order })
 }

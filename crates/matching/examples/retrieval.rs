@@ -19,8 +19,8 @@ use std::path::Path;
 use std::time::Instant;
 
 use rayon::prelude::*;
-use tiepoint_features::{Descriptor, GrayView, Options, Sift};
-use tiepoint_matching::{
+use tiepoint_features::{GrayView, Options, Sift, SiftDescriptor};
+use tiepoint_matching::retrieval::{
     GlobalDescriptor, ImageWords, InvertedIndex, RetrievalIndex, Vocabulary, VocabularyOptions,
     VocabularyTree,
 };
@@ -76,7 +76,7 @@ fn names(photos: &Path) -> Result<Vec<String>, std::io::Error> {
 fn descriptors(
     folder: &Path,
     names: &[String],
-) -> Result<Vec<Vec<Descriptor>>, Box<dyn std::error::Error>> {
+) -> Result<Vec<Vec<SiftDescriptor>>, Box<dyn std::error::Error>> {
     let kept = folder.join("descriptors.bin");
     if let Ok(bytes) = std::fs::read(&kept) {
         let mut photos = Vec::new();
@@ -88,14 +88,15 @@ fn descriptors(
         }
         return Ok(photos);
     }
-    let extract = |name: &String| -> Result<Vec<Descriptor>, String> {
+    let extract = |name: &String| -> Result<Vec<SiftDescriptor>, String> {
         let image = image::open(folder.join("photos").join(name)).map_err(|e| e.to_string())?;
         let grey = image.to_luma8();
         let view = GrayView::new(grey.as_raw(), grey.width() as usize, grey.height() as usize);
         let mut sift = Sift::new(Options::default()).map_err(|error| error.to_string())?;
-        Ok(sift.extract(&view, None).map_err(|error| error.to_string())?.descriptors)
+        let found = sift.extract(&view, None).map_err(|error| error.to_string())?;
+        Ok(found.descriptors.as_sift().unwrap_or_default().to_vec())
     };
-    let photos: Vec<Vec<Descriptor>> =
+    let photos: Vec<Vec<SiftDescriptor>> =
         names.par_iter().map(extract).collect::<Result<_, String>>()?;
     let mut bytes = Vec::new();
     for photo in &photos {
@@ -111,7 +112,7 @@ fn descriptors(
 fn inverted(
     count: usize,
     per_word: usize,
-    photo: impl Fn(usize) -> Vec<Descriptor> + Sync,
+    photo: impl Fn(usize) -> Vec<SiftDescriptor> + Sync,
 ) -> (Vec<Vec<u32>>, [f64; 3]) {
     let most = COUNTS[COUNTS.len() - 1];
     let start = Instant::now();
@@ -119,7 +120,7 @@ fn inverted(
     let leading: Vec<usize> = (0..count).into_par_iter().map(leading).collect();
     let words = leading.iter().sum::<usize>().div_ceil(per_word);
     let of_photo = (SAMPLE_PER_WORD * words).div_ceil(count.max(1));
-    let sample: Vec<Descriptor> = (0..count)
+    let sample: Vec<SiftDescriptor> = (0..count)
         .into_par_iter()
         .flat_map_iter(|k| Vocabulary::sample(&photo(k), of_photo).copied().collect::<Vec<_>>())
         .collect();
@@ -139,9 +140,9 @@ fn inverted(
 }
 
 /// The same by global descriptors and diffusion, all photos with all.
-fn vlad(photos: &[Vec<Descriptor>]) -> Vec<Vec<u32>> {
+fn vlad(photos: &[Vec<SiftDescriptor>]) -> Vec<Vec<u32>> {
     let step = photos.len().div_ceil(256).max(1);
-    let sample: Vec<Descriptor> = photos
+    let sample: Vec<SiftDescriptor> = photos
         .iter()
         .step_by(step)
         .flat_map(|photo| Vocabulary::sample(photo, 200).copied())
@@ -181,7 +182,7 @@ fn show(
 
 /// Times and memory for simulated photos.
 fn scale(count: usize) -> Result<(), Box<dyn std::error::Error>> {
-    let photo = |k: usize| -> Vec<Descriptor> {
+    let photo = |k: usize| -> Vec<SiftDescriptor> {
         let of_place = (0..200).map(|i| simulated((k / 10) as u64, i, (k % 10) as u64));
         let own = (200..1000).map(|i| simulated(k as u64 + (1 << 40), i, 0));
         of_place.chain(own).collect()
@@ -204,7 +205,7 @@ fn scale(count: usize) -> Result<(), Box<dyn std::error::Error>> {
 }
 
 /// Descriptor `i` of a place, with noise that depends on the photo.
-fn simulated(place: u64, i: u64, photo: u64) -> Descriptor {
+fn simulated(place: u64, i: u64, photo: u64) -> SiftDescriptor {
     let mut state = mix(place.wrapping_mul(1_000_003).wrapping_add(i));
     let mut noise = mix(state ^ photo.wrapping_mul(0x9E37_79B9_7F4A_7C15));
     std::array::from_fn(|_| {

@@ -10,10 +10,9 @@
 use std::error::Error;
 use std::time::Instant;
 
-use tiepoint_features::Descriptor;
-use tiepoint_matching::{
-    Checks, Forest, ForestOptions, Isa, Nearest, Prepared, nearest, nearest_on,
-};
+use tiepoint_features::SiftDescriptor;
+use tiepoint_matching::forest::{Checks, Forest, ForestOptions};
+use tiepoint_matching::sift::{Isa, Nearest, Prepared, nearest, nearest_on};
 
 /// Number of runs of each measurement. The minimum time is reported.
 const RUNS: usize = 5;
@@ -32,7 +31,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-fn measure(queries: &[Descriptor], points: &[Descriptor]) {
+fn measure(queries: &[SiftDescriptor], points: &[SiftDescriptor]) {
     let truth = nearest(&Prepared::new(queries), &Prepared::new(points)).of_a;
 
     let (packed_queries, packed_points) = (Prepared::new(queries), Prepared::new(points));
@@ -84,7 +83,7 @@ fn shortest<T>(runs: usize, mut run: impl FnMut() -> T) -> (f64, T) {
     best
 }
 
-fn read(path: &str) -> Result<Vec<Descriptor>, Box<dyn Error>> {
+fn read(path: &str) -> Result<Vec<SiftDescriptor>, Box<dyn Error>> {
     let bytes = std::fs::read(path).map_err(|error| format!("{path}: {error}"))?;
     Ok(bytes.as_chunks::<128>().0.to_vec())
 }

@@ -113,7 +113,8 @@ mod tests {
             for second in
                 (0..600_000).step_by(977).chain([1, 2, 524_287, 524_288, 8_323_200, u32::MAX])
             {
-                let exact = DIAMETER_SQUARED * (0.5 * ratio * angle_rad(second)).sin().powi(2);
+                let exact =
+                    DIAMETER_SQUARED * (0.5 * ratio * angle_rad(second.into())).sin().powi(2);
                 for distance in
                     [0, exact.floor() as u32, exact.ceil() as u32, (0.5 * exact) as u32, second]
                 {

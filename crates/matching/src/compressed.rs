@@ -9,7 +9,7 @@
 //!
 //! `|a − b| ≥ q |â − b̂| − e_a − e_b`.
 
-use tiepoint_features::Descriptor;
+use tiepoint_features::SiftDescriptor;
 
 use crate::packed::Packed;
 
@@ -79,7 +79,7 @@ pub(crate) struct CompressedDescriptors {
 }
 
 impl CompressedDescriptors {
-    pub(crate) fn new(descriptors: &[Descriptor]) -> Self {
+    pub(crate) fn new(descriptors: &[SiftDescriptor]) -> Self {
         let mut centre = [MEAN_BYTE + 0.5; 128];
         for (coefficient, mean) in MEANS {
             centre[coefficient] -= mean / STEP;
@@ -130,7 +130,7 @@ impl DistanceBound {
 }
 
 /// The coefficients of a descriptor.
-fn transform(descriptor: &Descriptor) -> [f32; 128] {
+fn transform(descriptor: &SiftDescriptor) -> [f32; 128] {
     let mut by_direction = [[[0.0_f32; 8]; 4]; 4];
     for (place, cell) in descriptor.as_chunks::<8>().0.iter().enumerate() {
         let cell = cell.map(f32::from);
@@ -189,7 +189,7 @@ mod tests {
         // All byte values; the two extreme values only; seven values.
         for levels in [256, 2, 7] {
             let mut byte = || (random.below(levels) * 255 / (levels - 1)) as u8;
-            let mut descriptors: Vec<Descriptor> =
+            let mut descriptors: Vec<SiftDescriptor> =
                 (0..COUNT).map(|_| std::array::from_fn(|_| byte())).collect();
             for k in 0..COUNT / 2 {
                 let mut near = descriptors[k];

@@ -11,9 +11,10 @@
 
 use tiepoint_features::{Features, Keypoint};
 
+use crate::any_kind::AnyKind;
 use crate::brute::NearestBothWays;
 use crate::distance::squared_distance;
-use crate::matcher::select;
+use crate::match_sift::select;
 use crate::matches::{Match, Nearest};
 use crate::options::Options;
 
@@ -41,11 +42,33 @@ pub fn match_guided(
     guide: &EpipolarGuide,
     options: &Options,
 ) -> Vec<Match> {
+    if a.descriptors.format() != b.descriptors.format() {
+        return Vec::new();
+    }
+    let (Some(sift_a), Some(sift_b)) = (a.descriptors.as_sift(), b.descriptors.as_sift()) else {
+        let [any_a, any_b] = [a, b].map(|f| AnyKind::new(f.descriptors.clone(), None));
+        return any_a.matches_among(&any_b, options, |take| for_each_candidate(a, b, guide, take));
+    };
+    let mut of_a = vec![Nearest::NONE; sift_a.len()];
+    let mut of_b = vec![Nearest::NONE; sift_b.len()];
+    for_each_candidate(a, b, guide, |i, j| {
+        let distance = squared_distance(&sift_a[i], &sift_b[j]);
+        of_a[i].update(j as u32, distance);
+        of_b[j].update(i as u32, distance);
+    });
+    select(&NearestBothWays { of_a, of_b }, options)
+}
+
+/// Passes the indices of all candidates to `take`.
+fn for_each_candidate(
+    a: &Features,
+    b: &Features,
+    guide: &EpipolarGuide,
+    mut take: impl FnMut(usize, usize),
+) {
     let strips = [Strips::new(b, guide, 0), Strips::new(b, guide, 1)];
     let max_error_squared = guide.max_error_px * guide.max_error_px;
-    let mut of_a = vec![Nearest::NONE; a.descriptors.len()];
-    let mut of_b = vec![Nearest::NONE; b.descriptors.len()];
-    for (i, (keypoint, descriptor)) in a.keypoints.iter().zip(&a.descriptors).enumerate() {
+    for (i, keypoint) in a.keypoints.iter().take(a.descriptors.len()).enumerate() {
         let line = line_in_b(&guide.fundamental, keypoint);
         let normal_squared = line[0] * line[0] + line[1] * line[1];
         // Strips divide the axis along which the line is longer.
@@ -54,14 +77,10 @@ pub fn match_guided(
             let product = line[0] * candidate.x + line[1] * candidate.y + line[2];
             let allowed = max_error_squared * normal_squared.min(candidate.normal_squared);
             if allowed > 0.0 && product * product <= allowed {
-                let j = candidate.index as usize;
-                let distance = squared_distance(descriptor, &b.descriptors[j]);
-                of_a[i].update(candidate.index, distance);
-                of_b[j].update(i as u32, distance);
+                take(i, candidate.index as usize);
             }
         });
     }
-    select(&NearestBothWays { of_a, of_b }, options)
 }
 
 /// A keypoint of the second image.
@@ -112,15 +131,16 @@ impl Candidate {
 
 impl Strips {
     fn new(b: &Features, guide: &EpipolarGuide, axis: usize) -> Self {
-        let mut candidates: Vec<Candidate> = (b.keypoints.iter().zip(&b.descriptors).enumerate())
-            .filter(|(_, (keypoint, _))| keypoint.x.is_finite() && keypoint.y.is_finite())
-            .map(|(index, (keypoint, _))| Candidate {
-                x: f64::from(keypoint.x),
-                y: f64::from(keypoint.y),
-                index: index as u32,
-                normal_squared: normal_squared_in_a(&guide.fundamental, keypoint),
-            })
-            .collect();
+        let mut candidates: Vec<Candidate> =
+            (b.keypoints.iter().take(b.descriptors.len()).enumerate())
+                .filter(|(_, keypoint)| keypoint.x.is_finite() && keypoint.y.is_finite())
+                .map(|(index, keypoint)| Candidate {
+                    x: f64::from(keypoint.x),
+                    y: f64::from(keypoint.y),
+                    index: index as u32,
+                    normal_squared: normal_squared_in_a(&guide.fundamental, keypoint),
+                })
+                .collect();
         let strips = Bins::<STRIPS>::over(candidates.iter().map(|c| c.along(axis)));
         let cells = Bins::<CELLS>::over(candidates.iter().map(|c| c.along(1 - axis)));
         let cell_index =

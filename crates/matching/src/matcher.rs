@@ -1,89 +1,51 @@
-//! Matching of image pairs.
+//! The trait of matchers.
 
-use rayon::prelude::*;
-use tiepoint_features::Descriptor;
+use std::error::Error;
+use std::fmt;
 
-use crate::accept::Acceptance;
-use crate::brute::{Isa, NearestBothWays, nearest};
-use crate::forest::ForestOptions;
+use tiepoint_features::Features;
+
 use crate::matches::Match;
-use crate::options::{Method, Options};
 use crate::pairs::Pair;
-use crate::prepared::Prepared;
-use crate::pruned::match_pruned;
 
-/// Matches the descriptors of two images. Matches are in ascending order of `a`. For images of
-/// several pairs, use [`Prepared`] and [`match_prepared`].
-pub fn match_features(a: &[Descriptor], b: &[Descriptor], options: &Options) -> Vec<Match> {
-    let [a, b] = [a, b].map(|descriptors| {
-        let mut prepared = Prepared::new(descriptors);
-        if options.method.uses_forest_for_pair(a.len(), b.len()) {
-            prepared.grow_forest(&ForestOptions::default());
-        }
-        prepared
-    });
-    match_prepared(&a, &b, options)
-}
+/// Matches the features of image pairs. It prepares each image once and then takes pairs in
+/// batches, so that it may run on a GPU.
+pub trait Matcher: fmt::Debug + Send + Sync {
+    /// A name that tells it from other matchers, in lower case.
+    fn name(&self) -> &str;
 
-/// Matches two images. Matches are in ascending order of `a`.
-pub fn match_prepared(a: &Prepared, b: &Prepared, options: &Options) -> Vec<Match> {
-    if is_preempted(a, b, options) {
-        return Vec::new();
+    /// Its options as texts by key: all that changes its results. Results are kept as long as name
+    /// and options are the same.
+    fn options(&self) -> Vec<(&'static str, String)>;
+
+    /// Most pairs that [`PreparedImages::match_pairs`] gets at a time. With 1, several threads call
+    /// it at the same time, each with a pair. By default it gets all pairs of a tile of images:
+    /// 16,384 in `tiepoint-pipeline`. Progress is reported after each batch.
+    fn pairs_per_batch(&self) -> usize {
+        usize::MAX
     }
-    let found = match (options.method, &a.forest, &b.forest) {
-        (Method::Forest(checks) | Method::Cheapest(checks), Some(forest_a), Some(forest_b))
-            if options.method.uses_forest_for_pair(a.len(), b.len()) =>
-        {
-            NearestBothWays {
-                of_a: forest_b.nearest_of(forest_a, checks),
-                of_b: forest_a.nearest_of(forest_b, checks),
-            }
-        }
-        _ => return match_by_brute_force(a, b, options),
-    };
-    select(&found, options)
+
+    /// An empty set of images.
+    fn images(&self) -> Box<dyn PreparedImages>;
 }
 
-/// Exact matching: with pruning, which gives the same matches faster, if it applies.
-fn match_by_brute_force(a: &Prepared, b: &Prepared, options: &Options) -> Vec<Match> {
-    let pruned = if options.mutual { match_pruned(Isa::best(), a, b, options) } else { None };
-    pruned.unwrap_or_else(|| select(&nearest(a, b), options))
-}
+/// The images that a [`Matcher`] has in memory, by numbers of the caller.
+pub trait PreparedImages: Send + Sync {
+    /// Adds images.
+    ///
+    /// # Errors
+    /// The images cannot be prepared; the message says why.
+    fn insert(&mut self, images: &[(u32, &Features)]) -> Result<(), Box<dyn Error + Send + Sync>>;
 
-/// Matches image pairs in parallel. Returns one list of matches per pair, in the order of `pairs`,
-/// which holds indices of `images`.
-///
-/// # Panics
-/// If an index is out of range.
-pub fn match_pairs(images: &[Prepared], pairs: &[Pair], options: &Options) -> Vec<Vec<Match>> {
-    pairs
-        .par_iter()
-        .map(|&(i, j)| match_prepared(&images[i as usize], &images[j as usize], options))
-        .collect()
-}
+    /// Removes the images that are not needed.
+    fn retain(&mut self, is_needed: &dyn Fn(u32) -> bool);
 
-/// Preemptive matching: whether the leading features have too few matches.
-fn is_preempted(a: &Prepared, b: &Prepared, options: &Options) -> bool {
-    let (Some(preempt), Some(a), Some(b)) = (options.preempt, &a.leading, &b.leading) else {
-        return false;
-    };
-    select(&nearest(a, b), options).len() < preempt.min_matches as usize
-}
-
-/// Applies the ratio test, the maximum angle and the cross check of `options` to nearest
-/// neighbours. Matches are in ascending order of `a`.
-pub fn select(nearest: &NearestBothWays, options: &Options) -> Vec<Match> {
-    let acceptance = Acceptance::new(options);
-    let accepted_match = |(i, forward): (usize, &crate::Nearest)| {
-        let back = nearest.of_b.get(forward.index as usize)?;
-        if options.mutual && (back.index as usize != i || !acceptance.accepts(back)) {
-            return None;
-        }
-        acceptance.accepts(forward).then_some(Match {
-            a: i as u32,
-            b: forward.index,
-            distance: forward.distance,
-        })
-    };
-    nearest.of_a.iter().enumerate().filter_map(accepted_match).collect()
+    /// The matches of each pair, in the order of `pairs`. They do not depend on the other pairs.
+    ///
+    /// # Errors
+    /// The pairs cannot be matched; the message says why.
+    ///
+    /// # Panics
+    /// If an image was not added.
+    fn match_pairs(&self, pairs: &[Pair]) -> Result<Vec<Vec<Match>>, Box<dyn Error + Send + Sync>>;
 }

@@ -8,7 +8,8 @@ use crate::forest::Checks;
 #[derive(Clone, Debug, PartialEq)]
 pub struct Options {
     /// Lowe's ratio test: the angle to the nearest descriptor must be below this ratio times the
-    /// angle to the second nearest. `None` disables the test.
+    /// angle to the second nearest. For other descriptors than those of SIFT, it compares
+    /// Euclidean distances. `None` disables the test.
     pub max_ratio: Option<f64>,
     /// Maximum angle between two descriptors, in radians. `None` disables the test.
     pub max_angle_rad: Option<f64>,
@@ -62,10 +63,11 @@ fn check(
 /// Method of the nearest-neighbour search.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Method {
-    /// Brute force: exact, with the same result on every CPU.
+    /// Brute force: exact, with the same result on every CPU. The method for descriptors other than
+    /// those of SIFT, whatever this option says.
     #[default]
     BruteForce,
-    /// Approximate search in the kd-forests of the images ([`crate::Prepared::grow_forest`]); brute
+    /// Approximate search in the kd-forests of the images ([`crate::forest`]); brute
     /// force if an image has no forest.
     Forest(Checks),
     /// The method of the shorter estimated time on this CPU. The result can therefore depend on the
@@ -126,9 +128,13 @@ const CHECK_DOUBLING_NS: f64 = 48.0;
 /// features rejected pairs with up to 387 inliers (`bench/matching.py preempt`).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PreemptiveMatching {
-    /// Minimum number of matches among the leading features. [`crate::Prepared::from_features`]
-    /// sets the number of leading features.
+    /// Minimum number of matches among the leading features.
     pub min_matches: u32,
+}
+
+impl PreemptiveMatching {
+    /// Number of leading features of an image.
+    pub const NUM_LEADING: usize = 1024;
 }
 
 impl Default for PreemptiveMatching {

@@ -29,7 +29,7 @@ pub enum PairSelection {
         /// camera are also matched with the last `overlap` images of every camera.
         is_closed: bool,
         /// Number of similar images with which each image is matched too, for loop closures; 0 for
-        /// none. [`RetrievalIndex::pairs`](crate::RetrievalIndex::pairs) retrieves them.
+        /// none. [`RetrievalIndex::pairs`](crate::retrieval::RetrievalIndex::pairs) retrieves them.
         loops: u32,
     },
     /// Each image with the most similar images, independent of their order.
@@ -91,8 +91,8 @@ impl fmt::Display for PairSelection {
 }
 
 impl PairSelection {
-    /// Number of similar images by [`RetrievalIndex`](crate::RetrievalIndex) with which each image
-    /// is matched, in addition to [`pairs`](Self::pairs).
+    /// Number of similar images by [`RetrievalIndex`](crate::retrieval::RetrievalIndex) with which
+    /// each image is matched, in addition to [`pairs`](Self::pairs).
     pub fn similar(self) -> u32 {
         match self {
             PairSelection::Auto | PairSelection::Exhaustive => 0,

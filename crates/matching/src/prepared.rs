@@ -4,7 +4,7 @@
 //! brute-force kernel (`packed`). Full descriptors are packed when they are needed, which takes a
 //! hundredth of the time of comparing them.
 
-use tiepoint_features::{Descriptor, Features};
+use tiepoint_features::{Keypoint, SiftDescriptor};
 
 use crate::compressed::CompressedDescriptors;
 use crate::forest::{Forest, ForestOptions};
@@ -13,10 +13,10 @@ use crate::packed::{Packed, Vectors, square};
 /// Number of groups of four bytes in a descriptor.
 const GROUPS: usize = 32;
 
-/// The descriptors of an image with precomputed data for matching.
+/// The SIFT descriptors of an image with precomputed data for matching.
 #[derive(Clone, Debug, Default)]
 pub struct Prepared {
-    pub(crate) descriptors: Vec<Descriptor>,
+    pub(crate) descriptors: Vec<SiftDescriptor>,
     /// Compressed descriptors.
     pub(crate) compressed: CompressedDescriptors,
     /// The features of the largest scales, in descending order, for preemptive matching.
@@ -27,7 +27,7 @@ pub struct Prepared {
 
 impl Prepared {
     /// Prepares descriptors. Indices of matches are indices of `descriptors`.
-    pub fn new(descriptors: &[Descriptor]) -> Self {
+    pub fn new(descriptors: &[SiftDescriptor]) -> Self {
         Prepared {
             descriptors: descriptors.to_vec(),
             compressed: CompressedDescriptors::new(descriptors),
@@ -36,20 +36,14 @@ impl Prepared {
         }
     }
 
-    /// Prepares the descriptors of `features`, and those of the `leading` largest keypoints for
-    /// preemptive matching ([`crate::PreemptiveMatching`]).
-    pub fn from_features(features: &Features, leading: usize) -> Self {
-        let mut order: Vec<usize> =
-            (0..features.descriptors.len().min(features.keypoints.len())).collect();
-        order.sort_by(|&i, &j| {
-            features.keypoints[j].scale.total_cmp(&features.keypoints[i].scale).then(i.cmp(&j))
-        });
-        let largest: Vec<Descriptor> =
-            order.iter().take(leading).map(|&i| features.descriptors[i]).collect();
-        Prepared {
-            leading: Some(Box::new(Prepared::new(&largest))),
-            ..Prepared::new(&features.descriptors)
-        }
+    /// Prepares descriptors, and those with the indices `leading` for preemptive matching
+    /// ([`crate::PreemptiveMatching`]).
+    ///
+    /// # Panics
+    /// If an index is out of range.
+    pub fn with_leading(descriptors: &[SiftDescriptor], leading: &[usize]) -> Self {
+        let leading: Vec<SiftDescriptor> = leading.iter().map(|&i| descriptors[i]).collect();
+        Prepared { leading: Some(Box::new(Prepared::new(&leading))), ..Prepared::new(descriptors) }
     }
 
     /// Builds the kd-forest for [`crate::Method::Forest`].
@@ -78,8 +72,16 @@ impl Prepared {
     }
 }
 
+/// The indices of the `count` largest keypoints, in descending order of their scales.
+pub(crate) fn largest(keypoints: &[Keypoint], count: usize) -> Vec<usize> {
+    let mut order: Vec<usize> = (0..keypoints.len()).collect();
+    order.sort_by(|&i, &j| keypoints[j].scale.total_cmp(&keypoints[i].scale).then(i.cmp(&j)));
+    order.truncate(count);
+    order
+}
+
 /// The descriptor in groups of four bytes.
-fn groups(descriptor: &Descriptor) -> [[u8; 4]; GROUPS] {
+fn groups(descriptor: &SiftDescriptor) -> [[u8; 4]; GROUPS] {
     let mut groups = [[0; 4]; GROUPS];
     groups.as_flattened_mut().copy_from_slice(descriptor);
     groups
@@ -105,7 +107,7 @@ mod tests {
     #[test]
     fn packing_preserves_every_byte() {
         // 37 descriptors: two full panels, one partial panel and one padding panel.
-        let descriptors: Vec<Descriptor> =
+        let descriptors: Vec<SiftDescriptor> =
             (0..37u32).map(|i| std::array::from_fn(|k| (i * 131 + k as u32 * 7) as u8)).collect();
         let mut prepared = Prepared::new(&descriptors);
         let packed = prepared.pack_all();
@@ -125,7 +127,8 @@ mod tests {
             (2, packed.word(36, 7), packed.word(5, 31))
         );
         prepared.grow_forest(&ForestOptions::default());
-        let found = prepared.forest.unwrap().nearest(&descriptors, crate::Checks::Total(1000));
+        let found =
+            prepared.forest.unwrap().nearest(&descriptors, crate::forest::Checks::Total(1000));
         assert!(
             found
                 .iter()

@@ -89,7 +89,7 @@ pub(crate) fn match_pruned(
         if !(others > distance && with_second(others)) {
             undecided.push((matches.len(), column));
         }
-        matches.push(Match { a: row, b: column, distance });
+        matches.push(Match { a: row, b: column, distance: distance.into() });
     }
     let columns: Vec<u32> = undecided.iter().map(|&(_, column)| column).collect();
     let mut is_match = vec![true; matches.len()];

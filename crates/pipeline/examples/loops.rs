@@ -19,11 +19,11 @@
 use std::time::Instant;
 
 use rayon::prelude::*;
-use tiepoint_io::features::{Descriptor, Features, GrayView, Options, Sift};
+use tiepoint_io::features::{Features, GrayView, Options, Sift, SiftDescriptor};
 use tiepoint_sfm::geometry::nalgebra::{Vector2, Vector3};
-use tiepoint_sfm::matching::{
-    self, Prepared, RetrievalIndex, Vocabulary, VocabularyOptions, match_prepared,
-};
+use tiepoint_sfm::matching;
+use tiepoint_sfm::matching::retrieval::{RetrievalIndex, Vocabulary, VocabularyOptions};
+use tiepoint_sfm::matching::sift::{Prepared, match_prepared};
 use tiepoint_synth::image::DynamicImage;
 use tiepoint_synth::{Drive, DriveOptions, Exposure, Motion, Mount, RouteKind, ViewDirection};
 
@@ -101,17 +101,17 @@ fn measure(drive: &Drive) -> Result<(), Box<dyn std::error::Error>> {
         .collect();
 
     // As the pipeline does: about 400 descriptors for each word.
-    let sample: Vec<Descriptor> = views
+    let sample: Vec<SiftDescriptor> = views
         .iter()
         .step_by(views.len().div_ceil(256))
-        .flat_map(|view| Vocabulary::sample(&view.features.descriptors, 200).copied())
+        .flat_map(|view| Vocabulary::sample(sift(&view.features), 200).copied())
         .collect();
     let start = Instant::now();
     let vocabulary = Vocabulary::learn(&sample, &VocabularyOptions::default());
     let learn_s = start.elapsed().as_secs_f64();
     let start = Instant::now();
     let described: Vec<_> =
-        views.iter().map(|view| vocabulary.describe(&view.features.descriptors)).collect();
+        views.iter().map(|view| vocabulary.describe(sift(&view.features))).collect();
     let describe_ms = 1e3 * start.elapsed().as_secs_f64() / views.len() as f64;
     let index: RetrievalIndex = described.iter().cloned().collect();
     let full: RetrievalIndex = described.iter().cycle().take(BANK).cloned().collect();
@@ -138,7 +138,7 @@ fn measure(drive: &Drive) -> Result<(), Box<dyn std::error::Error>> {
     let mut query_ms = f64::INFINITY;
     for (a, view) in views.iter().enumerate() {
         let start = Instant::now();
-        let whole = vocabulary.describe(&view.features.descriptors);
+        let whole = vocabulary.describe(sift(&view.features));
         full.most_similar(&whole, TOP, |b| b as usize != a);
         query_ms = query_ms.min(1e3 * start.elapsed().as_secs_f64());
     }
@@ -152,6 +152,10 @@ fn measure(drive: &Drive) -> Result<(), Box<dyn std::error::Error>> {
         sample.len()
     );
     Ok(())
+}
+
+fn sift(features: &Features) -> &[SiftDescriptor] {
+    features.descriptors.as_sift().unwrap_or_default()
 }
 
 /// Counts of correct candidates.
@@ -220,7 +224,7 @@ fn views(drive: &Drive) -> Result<Vec<View<'_>>, Box<dyn std::error::Error>> {
         let points =
             surfaces.filter(|surface| !surface.is_moving).map(|surface| surface.point_in_world);
         let centre = drive.cam_from_world(camera, exposure.time_s).inverse().translation;
-        let prepared = Prepared::new(&features.descriptors);
+        let prepared = Prepared::new(sift(&features));
         Ok(View { camera, frame, exposure, points: points.collect(), centre, features, prepared })
     };
     let views: Result<Vec<_>, tiepoint_io::features::Error> =

@@ -12,9 +12,10 @@ use std::path::Path;
 use std::time::Instant;
 
 use tiepoint_io::database::Database;
-use tiepoint_io::features::{Descriptor, Features};
+use tiepoint_io::features::{Features, SiftDescriptor};
 use tiepoint_sfm::geometry::{Rng, nalgebra::Vector2};
-use tiepoint_sfm::matching::{Options, Prepared, match_prepared, nearest, select};
+use tiepoint_sfm::matching::Options;
+use tiepoint_sfm::matching::sift::{Prepared, match_prepared, nearest, select};
 use tiepoint_sfm::scene::{ImageId, Keypoint, Match};
 use tiepoint_sfm::{ImageObservations, VerifyOptions, verify_pair};
 
@@ -74,7 +75,7 @@ fn timed<T>(work: impl FnOnce() -> T) -> (f64, T) {
 }
 
 /// The largest features of an image.
-fn largest(features: &Features, most: usize) -> (Vec<Keypoint>, Vec<Descriptor>) {
+fn largest(features: &Features, most: usize) -> (Vec<Keypoint>, Vec<SiftDescriptor>) {
     let mut order: Vec<usize> = (0..features.keypoints.len()).collect();
     order.sort_by(|&i, &j| features.keypoints[j].scale.total_cmp(&features.keypoints[i].scale));
     order.truncate(most);
@@ -85,5 +86,6 @@ fn largest(features: &Features, most: usize) -> (Vec<Keypoint>, Vec<Descriptor>)
             scale_px: keypoint.scale,
         }
     };
-    (order.iter().map(keypoint).collect(), order.iter().map(|&i| features.descriptors[i]).collect())
+    let descriptors = features.descriptors.as_sift().unwrap_or_default();
+    (order.iter().map(keypoint).collect(), order.iter().map(|&i| descriptors[i]).collect())
 }

@@ -1,6 +1,7 @@
 use std::path::{Path, PathBuf};
 
 use tiepoint_input::Size;
+use tiepoint_io::features::DescriptorFormat;
 
 use crate::Stage;
 
@@ -380,16 +381,55 @@ pub enum Error {
         /// Number of its images with keypoints.
         images: usize,
     },
-    /// Features of another program are not SIFT.
+    /// Features of another program have no descriptors.
     #[error(
-        "{path}: {image} has no SIFT descriptor for each keypoint, so that it cannot be matched: \
-        match the features with the program that made them, and give that database"
+        "{path}: {image} has no descriptor for each keypoint, so that it cannot be matched: match \
+        the features with the program that made them, and give that database"
     )]
-    NoSift {
+    NoDescriptors {
         /// The database.
         path: PathBuf,
         /// Name of an image.
         image: String,
+    },
+    /// Similar images are asked for, and the descriptors are not those of SIFT.
+    #[error(
+        "{path}: similar images are found by SIFT descriptors, and those of its images are \
+        {format}; all pairs and sequences need no similar images"
+    )]
+    NoRetrieval {
+        /// The database.
+        path: PathBuf,
+        /// What the descriptors are.
+        format: DescriptorFormat,
+    },
+    /// Photos would get other features than the images of a model.
+    #[error(
+        "{path} has features of {found}, and the photos would get those of {asked}: they cannot be \
+        compared"
+    )]
+    OtherFeatures {
+        /// The database.
+        path: PathBuf,
+        /// The extractor or the descriptors of the model's images.
+        found: String,
+        /// Those of the photos.
+        asked: String,
+    },
+    /// An extractor gives features that do not fit together.
+    #[error(
+        "the extractor {extractor} gives {keypoints} keypoints and {descriptors} descriptors of \
+        {format}, not a descriptor of its own format for each keypoint"
+    )]
+    InvalidFeatures {
+        /// Name of the extractor.
+        extractor: String,
+        /// Number of keypoints.
+        keypoints: usize,
+        /// Number of descriptors.
+        descriptors: usize,
+        /// What they are.
+        format: DescriptorFormat,
     },
     /// A model has no database with the features of its images.
     #[error(
@@ -509,6 +549,28 @@ pub enum Error {
     /// Descriptor matching failed.
     #[error(transparent)]
     Matching(#[from] tiepoint_sfm::matching::Error),
+    /// An extractor or a matcher failed.
+    #[error(transparent)]
+    Method(Box<dyn std::error::Error + Send + Sync>),
+    /// A matcher does not give a list of matches for each pair.
+    #[error("the matcher gives {lists} lists of matches for {pairs} pairs of images")]
+    InvalidMatches {
+        /// Number of pairs.
+        pairs: usize,
+        /// Number of lists.
+        lists: usize,
+    },
+    /// A matcher names a keypoint that does not exist.
+    #[error(
+        "the matcher matches keypoints {} and {} of images with {} and {} keypoints",
+        .keypoints[0], .keypoints[1], .counts[0], .counts[1]
+    )]
+    InvalidMatch {
+        /// The keypoints.
+        keypoints: [u32; 2],
+        /// Numbers of keypoints of the two images.
+        counts: [usize; 2],
+    },
     /// The mapper failed.
     #[error(transparent)]
     Mapping(tiepoint_sfm::Error),

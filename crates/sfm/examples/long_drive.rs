@@ -44,7 +44,7 @@ fn main() {
             let options =
                 MapperOptions { refine: RefineIntrinsics::NONE, rig, ..MapperOptions::default() };
             let start = Instant::now();
-            let models = map(&graph, &blank, &mut |_| Vec::new(), &options, &mut |_| {
+            let models = map(&graph, &blank, &mut |_| Default::default(), &options, &mut |_| {
                 ControlFlow::Continue(())
             });
             let seconds = start.elapsed().as_secs_f64();

@@ -103,9 +103,10 @@ struct Outcome {
 fn run(scene: &Scene, seed: u64, rig: RigMode) -> Option<Outcome> {
     let options =
         MapperOptions { refine: RefineIntrinsics::NONE, rig, seed, ..MapperOptions::default() };
-    let models = map(&scene.graph, &scene.blank, &mut |_| Vec::new(), &options, &mut |_| {
-        ControlFlow::Continue(())
-    });
+    let models =
+        map(&scene.graph, &scene.blank, &mut |_| Default::default(), &options, &mut |_| {
+            ControlFlow::Continue(())
+        });
     let MappedModel { reconstruction: model, rig, .. } = models.ok()?.into_iter().next()?;
     let held_out_px = rig.as_ref().map_or([f64::NAN; 2], |rig| [rig.error_off_px, rig.error_px]);
     let right = rig.and_then(|rig| rig.cameras.into_iter().next());

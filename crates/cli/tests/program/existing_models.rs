@@ -239,13 +239,31 @@ fn databases_of_other_programs_are_copied_and_mapped() {
     run(dir.path(), "match []/ws").done();
     run(dir.path(), "map []/ws --rig off").done();
     assert_eq!(read_model(&dir.path().join("ws/sparse/0")).unwrap().num_registered(), OLD - 1);
+}
 
-    // Bad input.
-    let fails = |code, parts: &[&str]| {
-        run(dir.path(), "reconstruct --database []/foreign.db -o []/bad").failed(code, parts);
-    };
-    foreign(&file, &format!("{FLOAT} DELETE FROM matches; DELETE FROM two_view_geometries;"));
-    fails(1, &["0.png has no SIFT descriptor", "match the features with the program"]);
+#[test]
+fn databases_of_other_programs_may_be_bad_input() {
+    let dir = tempfile::tempdir().unwrap();
+    let file = dir.path().join("foreign.db");
+    let without_pairs = "DELETE FROM matches; DELETE FROM two_view_geometries;";
+    for (index, (sql, parts)) in [
+        (
+            "DELETE FROM descriptors WHERE image_id = 30;",
+            ["2.png has no descriptor for each keypoint", "match the features with the program"],
+        ),
+        ("UPDATE descriptors SET type = 9;", ["its descriptors", "128 bytes and type 9"]),
+        (
+            "UPDATE descriptors SET type = -1 WHERE image_id = 30;",
+            ["some of its images have descriptors of 128 bytes", "others of SIFT"],
+        ),
+    ]
+    .into_iter()
+    .enumerate()
+    {
+        foreign(&file, &format!("{sql} {without_pairs}"));
+        let line = format!("reconstruct --database []/foreign.db -o []/other{index}");
+        run(dir.path(), &line).failed(1, &parts);
+    }
     foreign(&file, "DELETE FROM keypoints; DELETE FROM matches; DELETE FROM two_view_geometries;");
     run(dir.path(), "features --database []/foreign.db -o []/bad2")
         .failed(1, &["foreign.db", "0 images with keypoints"]);

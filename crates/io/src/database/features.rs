@@ -1,15 +1,64 @@
 //! Keypoints and descriptors.
 
+use std::borrow::Cow;
+
 use rusqlite::{OptionalExtension, params};
-use tiepoint_features::{Descriptor, Features, Keypoint};
+use tiepoint_features::{
+    DescriptorEntries, DescriptorFormat, DescriptorKind, Descriptors, Features, Keypoint,
+};
 use tiepoint_scene::ImageId;
 
 use super::connection::{Database, error};
 use crate::Result;
 
-/// Value of the column `type` for SIFT descriptors.
-const SIFT: i64 = 0;
-const DESCRIPTOR_BYTES: usize = std::mem::size_of::<Descriptor>();
+/// Values of the column `type`: those of COLMAP, whose `UNDEFINED` is -1, and one for floats of
+/// methods that COLMAP does not know.
+const TYPES: [(i64, DescriptorKind); 5] = [
+    (0, DescriptorKind::Sift),
+    (1, DescriptorKind::AlikedN16Rot),
+    (2, DescriptorKind::AlikedN32),
+    (-1, DescriptorKind::Bytes),
+    (-2, DescriptorKind::Floats),
+];
+
+fn type_of(kind: DescriptorKind) -> i64 {
+    TYPES.iter().find(|(_, known)| *known == kind).map_or(-1, |(number, _)| *number)
+}
+
+/// The format of descriptors of a type with a number of bytes each; `None` for a type that is not
+/// known. Before COLMAP 4 all descriptors had no type, and those that are not of SIFT's size are
+/// of another kind.
+fn format_of(number: i64, num_bytes: usize) -> Option<DescriptorFormat> {
+    let (_, kind) = TYPES.into_iter().find(|(known, _)| *known == number)?;
+    let format = match kind {
+        DescriptorKind::Sift if num_bytes != DescriptorFormat::SIFT.dim => {
+            DescriptorFormat { kind: DescriptorKind::Bytes, dim: num_bytes }
+        }
+        kind if kind.has_floats() => DescriptorFormat { kind, dim: num_bytes / size_of::<f32>() },
+        kind => DescriptorFormat { kind, dim: num_bytes },
+    };
+    (format.num_bytes() == num_bytes && num_bytes > 0).then_some(format)
+}
+
+/// The entries in the bytes of a row.
+fn to_entries(format: DescriptorFormat, data: Vec<u8>) -> DescriptorEntries {
+    if format.kind.has_floats() {
+        let floats = data.as_chunks().0.iter().map(|bytes| f32::from_le_bytes(*bytes));
+        DescriptorEntries::Floats(floats.collect())
+    } else {
+        DescriptorEntries::Bytes(data)
+    }
+}
+
+/// Inverse of [`to_entries`].
+fn to_bytes(entries: &DescriptorEntries) -> Cow<'_, [u8]> {
+    match entries {
+        DescriptorEntries::Bytes(bytes) => bytes.into(),
+        DescriptorEntries::Floats(floats) => {
+            floats.iter().flat_map(|value| value.to_le_bytes()).collect::<Vec<u8>>().into()
+        }
+    }
+}
 
 /// The columns of a keypoint: x, y and the affine shape (a11, a12, a21, a22) that maps the unit
 /// circle to the keypoint, which is the scale times the rotation by the orientation.
@@ -47,7 +96,8 @@ impl Database {
     ///
     /// # Errors
     ///
-    /// If an image is not in the database, and if the file cannot be written.
+    /// If an image is not in the database, if descriptors are not those of SIFT and the file is of
+    /// a version that knows no others, and if the file cannot be written.
     pub fn write_features<'a>(
         &mut self,
         batch: impl IntoIterator<Item = (ImageId, &'a Features)>,
@@ -68,6 +118,12 @@ impl Database {
     /// Writes the features of the image with an id in the file.
     pub(super) fn put_features(&self, id: i64, features: &Features, has_kind: bool) -> Result<()> {
         let Features { keypoints, descriptors } = features;
+        if !has_kind && descriptors.format() != DescriptorFormat::SIFT {
+            return Err(self.content(format!(
+                "it has no column for the type of descriptors, and these are {}",
+                descriptors.format()
+            )));
+        }
         let data: Vec<u8> =
             keypoints.iter().flat_map(to_columns).flat_map(f32::to_le_bytes).collect();
         let sql = "INSERT OR REPLACE INTO keypoints(image_id, rows, cols, data) VALUES (?1, ?2, 6, \
@@ -78,9 +134,9 @@ impl Database {
             "INSERT OR REPLACE INTO descriptors(image_id, {kind}rows, cols, data) \
             VALUES (?1, {value}?2, ?3, ?4)"
         );
-        let (rows, data) = (descriptors.len() as i64, descriptors.as_flattened());
-        let values: [&dyn rusqlite::ToSql; 5] =
-            [&id, &rows, &(DESCRIPTOR_BYTES as i64), &data, &SIFT];
+        let (rows, format) = (descriptors.len() as i64, descriptors.format());
+        let (cols, data) = (format.num_bytes() as i64, to_bytes(descriptors.entries()));
+        let values: [&dyn rusqlite::ToSql; 5] = [&id, &rows, &cols, &data, &type_of(format.kind)];
         self.execute(&sql, &values[..if has_kind { 5 } else { 4 }])
     }
 
@@ -138,20 +194,22 @@ impl Database {
     ///
     /// # Errors
     ///
-    /// The errors of [`Database::read_keypoints`], descriptors other than SIFT, and different
-    /// numbers of keypoints and descriptors.
+    /// The errors of [`Database::read_keypoints`], descriptors of a type that is not known, and
+    /// different numbers of keypoints and descriptors.
     pub fn read_features(&self, image: ImageId) -> Result<Features> {
         let keypoints = self.read_keypoints(image)?;
         let kind = if self.has_descriptor_kinds()? { "type" } else { "0" };
-        let descriptors: Vec<Descriptor> = match self.feature_row("descriptors", kind, image)? {
-            None => Vec::new(),
-            Some((SIFT, DESCRIPTOR_BYTES, data)) => data.as_chunks::<DESCRIPTOR_BYTES>().0.to_vec(),
-            Some((kind, cols, _)) => {
-                let what = format!(
-                    "descriptors of {} are of type {kind} with {cols} bytes, not SIFT",
-                    self.shown(image)
-                );
-                return Err(self.content(what));
+        let descriptors = match self.feature_row("descriptors", kind, image)? {
+            None => Descriptors::default(),
+            Some((number, cols, data)) => {
+                let format = format_of(number, cols).ok_or_else(|| {
+                    self.content(format!(
+                        "descriptors of {} have {cols} bytes and type {number}, which is not known",
+                        self.shown(image)
+                    ))
+                })?;
+                Descriptors::new(format, to_entries(format, data))
+                    .map_err(|cause| self.content(format!("{}: {cause}", self.shown(image))))?
             }
         };
         if keypoints.len() != descriptors.len() {
@@ -165,21 +223,45 @@ impl Database {
         Ok(Features { keypoints, descriptors })
     }
 
-    /// The image with descriptors that are not SIFT, or with another number of descriptors than
-    /// keypoints; `None` if all have SIFT descriptors.
+    /// The first image with another number of descriptors than keypoints; `None` if all keypoints
+    /// have a descriptor.
     ///
     /// # Errors
     ///
     /// If the file cannot be read.
-    pub fn image_without_sift(&self) -> Result<Option<String>> {
-        let kind = if self.has_descriptor_kinds()? { "descriptors.type" } else { "0" };
-        let sql = format!(
-            "SELECT images.name FROM images JOIN keypoints USING (image_id) LEFT JOIN descriptors \
-            USING (image_id) WHERE keypoints.rows > 0 AND (descriptors.rows IS NULL OR \
-            descriptors.rows <> keypoints.rows OR descriptors.cols <> {DESCRIPTOR_BYTES} OR {kind} \
-            <> {SIFT}) ORDER BY image_id LIMIT 1"
-        );
-        Ok(self.rows(&sql, |row| row.get(0))?.into_iter().next())
+    pub fn image_without_descriptors(&self) -> Result<Option<String>> {
+        let sql = "SELECT images.name FROM images JOIN keypoints USING (image_id) LEFT JOIN \
+            descriptors USING (image_id) WHERE keypoints.rows > 0 AND (descriptors.rows IS NULL OR \
+            descriptors.rows <> keypoints.rows) ORDER BY image_id LIMIT 1";
+        Ok(self.rows(sql, |row| row.get(0))?.into_iter().next())
+    }
+
+    /// The format of the descriptors of all images; SIFT if there are none.
+    ///
+    /// # Errors
+    ///
+    /// If images have descriptors of different formats or of a type that is not known, and if the
+    /// file cannot be read.
+    pub fn descriptor_format(&self) -> Result<DescriptorFormat> {
+        let kind = if self.has_descriptor_kinds()? { "type" } else { "0" };
+        let sql =
+            format!("SELECT DISTINCT {kind}, cols FROM descriptors WHERE rows > 0 ORDER BY 1, 2");
+        let found: Vec<(i64, i64)> = self.rows(&sql, |row| Ok((row.get(0)?, row.get(1)?)))?;
+        let format = |(number, cols): &(i64, i64)| {
+            usize::try_from(*cols).ok().and_then(|cols| format_of(*number, cols)).ok_or_else(|| {
+                self.content(format!(
+                    "its descriptors have {cols} bytes and type {number}, which is not known"
+                ))
+            })
+        };
+        let formats = found.iter().map(format).collect::<Result<Vec<_>>>()?;
+        match formats[..] {
+            [] => Ok(DescriptorFormat::SIFT),
+            [format] => Ok(format),
+            [one, other, ..] => Err(self.content(format!(
+                "some of its images have descriptors of {one}, others of {other}"
+            ))),
+        }
     }
 
     /// Type, number of columns and data of the row of an image. The data have the length that rows

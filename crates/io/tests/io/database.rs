@@ -6,7 +6,9 @@ use std::f32::consts::PI;
 use std::path::Path;
 
 use proptest::prelude::*;
-use tiepoint_features::{Features, Keypoint};
+use tiepoint_features::{
+    DescriptorEntries, DescriptorFormat, DescriptorKind, Descriptors, Features, Keypoint,
+};
 use tiepoint_geometry::nalgebra::Matrix3;
 use tiepoint_geometry::{CameraModelKind, Intrinsics, Rigid3, Rng};
 use tiepoint_io::database::{Database, DatabaseFrame, StageRow, read_stage_rows};
@@ -54,7 +56,9 @@ fn random_features(rng: &mut Rng, count: usize) -> Features {
     let keypoints = keypoints.collect();
     Features {
         keypoints,
-        descriptors: (0..count).map(|_| std::array::from_fn(|_| rng.below(256) as u8)).collect(),
+        descriptors: (0..count)
+            .map(|_| std::array::from_fn::<u8, 128, _>(|_| rng.below(256) as u8))
+            .collect(),
     }
 }
 
@@ -193,6 +197,81 @@ fn rigs_and_frames_are_read_as_written_and_other_cameras_get_their_own() {
         let alone = |id| DatabaseFrame { rig: RigId(0), images: vec![ImageId(id)] };
         assert_eq!(frames, [frame, alone(2), alone(3)]);
     }
+}
+
+/// Descriptors of every kind are those that were written, with the columns and the type that COLMAP
+/// gives them: bytes of the blob, and its number of the kind.
+#[test]
+fn descriptors_of_every_kind_are_kept() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("database.db");
+    let mut db = filled(&path);
+    let keypoint = Keypoint { x: 1.0, y: 2.0, scale: 1.0, orientation: 0.0 };
+    for (kind, dim, number, cols) in [
+        (DescriptorKind::Sift, 128, 0, 128),
+        (DescriptorKind::AlikedN16Rot, 128, 1, 512),
+        (DescriptorKind::AlikedN32, 128, 2, 512),
+        (DescriptorKind::Bytes, 32, -1, 32),
+        (DescriptorKind::Bytes, 128, -1, 128),
+        (DescriptorKind::Floats, 64, -2, 256),
+    ] {
+        let format = DescriptorFormat { kind, dim };
+        let entries = match kind.has_floats() {
+            true => DescriptorEntries::Floats((0..2 * dim).map(|k| k as f32 / 3.0).collect()),
+            false => DescriptorEntries::Bytes((0..2 * dim).map(|k| k as u8).collect()),
+        };
+        let descriptors = Descriptors::new(format, entries).unwrap();
+        let features = Features { keypoints: vec![keypoint; 2], descriptors };
+        db.write_features([(ImageId(1), &features)]).unwrap();
+        assert_eq!(db.read_features(ImageId(1)).unwrap(), features);
+        assert_eq!(db.descriptor_format().unwrap(), format);
+        let sql = rusqlite::Connection::open(&path).unwrap();
+        let query = "SELECT type, rows, cols FROM descriptors";
+        let row = |row: &rusqlite::Row| Ok((row.get(0)?, row.get(1)?, row.get(2)?));
+        let found: (i64, i64, i64) = sql.query_row(query, [], row).unwrap();
+        assert_eq!(found, (number, 2, cols));
+    }
+    let sift = random_features(&mut Rng::stream(3, &[]), 2);
+    db.write_features([(ImageId(2), &sift)]).unwrap();
+    let error = db.descriptor_format().unwrap_err().to_string();
+    assert!(error.contains("descriptors of 64 floats, others of SIFT"), "{error}");
+    // What no program is known to write.
+    for (number, cols, message) in
+        [(7, 256, "256 bytes and type 7"), (1, 254, "254 bytes and type 1"), (-1, 0, "0 bytes")]
+    {
+        let sql = rusqlite::Connection::open(&path).unwrap();
+        sql.execute(
+            "UPDATE descriptors SET type = ?1, cols = ?2, data = zeroblob(2 * ?2)",
+            [number, cols],
+        )
+        .unwrap();
+        for error in [
+            db.read_features(ImageId(1)).unwrap_err().to_string(),
+            db.descriptor_format().unwrap_err().to_string(),
+        ] {
+            assert!(error.contains(message), "{error}");
+        }
+    }
+    // Without types, descriptors of another size than SIFT's are bytes of another kind.
+    db.close().unwrap();
+    let sql = rusqlite::Connection::open(&path).unwrap();
+    sql.execute_batch(
+        "ALTER TABLE descriptors DROP COLUMN type;
+         UPDATE descriptors SET cols = 512, data = zeroblob(1024);",
+    )
+    .unwrap();
+    drop(sql);
+    let db = Database::open(&path).unwrap();
+    let format = DescriptorFormat { kind: DescriptorKind::Bytes, dim: 512 };
+    assert_eq!(db.descriptor_format().unwrap(), format);
+    let features = db.read_features(ImageId(1)).unwrap();
+    assert_eq!(features.descriptors.format(), format);
+    assert_eq!(db.image_without_descriptors().unwrap(), None);
+    db.close().unwrap();
+    let mut db = Database::open(&path).unwrap();
+    let error = db.write_features([(ImageId(1), &features)]).unwrap_err().to_string();
+    assert!(error.contains("no column for the type of descriptors"), "{error}");
+    db.write_features([(ImageId(1), &sift)]).unwrap();
 }
 
 #[test]
@@ -544,7 +623,8 @@ fn copies_of_other_programs_files_have_ids_from_one_on() {
     let read = Database::open_read_only(&path).unwrap();
     assert_eq!(read.num_images(), 3);
     assert!(read.has_pairs().unwrap());
-    assert_eq!(read.image_without_sift().unwrap(), None);
+    assert_eq!(read.image_without_descriptors().unwrap(), None);
+    assert_eq!(read.descriptor_format().unwrap(), DescriptorFormat::SIFT);
     drop(read);
     let db = Database::copy_with(&path, &copy, |_| Ok(())).unwrap();
     let found: Vec<(String, CameraId)> =

@@ -82,7 +82,7 @@ fn features() -> Features {
     let keypoint = |index| Keypoint { x: index as f32, y: 1.0, scale: 1.0, orientation: 0.0 };
     Features {
         keypoints: (0..KEYPOINTS).map(keypoint).collect(),
-        descriptors: vec![[7; 128]; KEYPOINTS],
+        descriptors: vec![[7; 128]; KEYPOINTS].into(),
     }
 }
 

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use tiepoint_features::Descriptor;
+use tiepoint_features::SiftDescriptor;
 
 use super::kernel::{RowLanes, Totals, compare_all};
 use super::lanes::Portable;
@@ -85,7 +85,7 @@ impl Isa {
     }
 
     /// Squared Euclidean distance, exact.
-    pub(crate) fn squared_distance(self, a: &Descriptor, b: &Descriptor) -> u32 {
+    pub(crate) fn squared_distance(self, a: &SiftDescriptor, b: &SiftDescriptor) -> u32 {
         match self.0 {
             #[cfg(target_arch = "x86_64")]
             // SAFETY: an `Isa` is only constructed if the CPU supports it, and these include AVX2.

@@ -62,7 +62,7 @@ pub(crate) fn compare<const G: usize>(
 
 #[cfg(test)]
 mod tests {
-    use tiepoint_features::Descriptor;
+    use tiepoint_features::SiftDescriptor;
 
     use super::{Isa, nearest_on};
     use crate::distance::squared_distance;
@@ -74,7 +74,7 @@ mod tests {
     #[test]
     fn few_descriptors_match_the_definition() {
         let mut random = stream(3, 0);
-        let mut some = |count: usize| -> Vec<Descriptor> {
+        let mut some = |count: usize| -> Vec<SiftDescriptor> {
             (0..count).map(|_| std::array::from_fn(|_| random.below(256) as u8)).collect()
         };
         let (a, b) = (some(13), some(67));

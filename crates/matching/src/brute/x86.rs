@@ -12,7 +12,7 @@
 
 use std::arch::x86_64::*;
 
-use tiepoint_features::Descriptor;
+use tiepoint_features::SiftDescriptor;
 
 use super::kernel::{RowLanes, Totals, compare_all};
 use super::lanes::{Lanes, widen, widen_signed};
@@ -53,7 +53,7 @@ pub(super) fn compare_all_avx2<const G: usize>(
 
 /// Squared Euclidean distance, exact.
 #[target_feature(enable = "avx2")]
-pub(super) fn squared_distance(a: &Descriptor, b: &Descriptor) -> u32 {
+pub(super) fn squared_distance(a: &SiftDescriptor, b: &SiftDescriptor) -> u32 {
     let mut sum = _mm256_setzero_si256();
     for (a, b) in a.as_chunks::<16>().0.iter().zip(b.as_chunks::<16>().0) {
         // SAFETY: both have 16 bytes.

@@ -6,12 +6,12 @@
 //! trees are the same on all CPUs.
 
 use rayon::prelude::*;
-use tiepoint_features::Descriptor;
+use tiepoint_features::SiftDescriptor;
+use tiepoint_simd::Rng;
 
 use super::options::ForestOptions;
 use super::tree::{Forest, LEAF_MARK, Node, Row};
 use crate::random::stream;
-use tiepoint_simd::Rng;
 
 /// Number of points from which mean and variance are estimated: FLANN's SAMPLE_MEAN + 1, as
 /// FLANN counts.
@@ -32,7 +32,7 @@ struct Tree {
 impl Forest {
     /// Builds at least one tree over the descriptors, in parallel. The result does not depend on
     /// the number of threads.
-    pub fn new(descriptors: &[Descriptor], options: &ForestOptions) -> Self {
+    pub fn new(descriptors: &[SiftDescriptor], options: &ForestOptions) -> Self {
         build_forest(descriptors.iter().map(|&d| Row(d)).collect(), options)
     }
 }

@@ -9,7 +9,7 @@
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
-use tiepoint_features::Descriptor;
+use tiepoint_features::SiftDescriptor;
 
 use super::options::Checks;
 use super::tree::{Forest, NodeKind, Row};
@@ -36,13 +36,13 @@ struct Scratch {
 
 impl Forest {
     /// For every query, the two nearest neighbours among the visited points.
-    pub fn nearest(&self, queries: &[Descriptor], checks: Checks) -> Vec<Nearest> {
+    pub fn nearest(&self, queries: &[SiftDescriptor], checks: Checks) -> Vec<Nearest> {
         self.nearest_on(Isa::best(), queries, checks)
     }
 
     /// As [`Self::nearest`] on a given instruction set, for tests and measurements. The result is
     /// the same on all instruction sets.
-    pub fn nearest_on(&self, isa: Isa, queries: &[Descriptor], checks: Checks) -> Vec<Nearest> {
+    pub fn nearest_on(&self, isa: Isa, queries: &[SiftDescriptor], checks: Checks) -> Vec<Nearest> {
         search(self, isa, queries.iter().map(|&query| Row(query)), checks)
     }
 

@@ -1,5 +1,5 @@
 use proptest::prelude::*;
-use tiepoint_features::Descriptor;
+use tiepoint_features::SiftDescriptor;
 
 use super::tree::NodeKind;
 use super::*;
@@ -11,10 +11,10 @@ use crate::prepared::Prepared;
 const ALL: Checks = Checks::Total(1_000_000);
 
 /// Points around a few centres: neighbours are much nearer than other points.
-fn clustered(count: usize, seed: u64) -> Vec<Descriptor> {
+fn clustered(count: usize, seed: u64) -> Vec<SiftDescriptor> {
     let mut random = crate::random::stream(seed, 0);
     let mut centres = crate::random::stream(99, 0);
-    let centres: Vec<Descriptor> =
+    let centres: Vec<SiftDescriptor> =
         (0..40).map(|_| std::array::from_fn(|_| centres.below(120) as u8)).collect();
     (0..count)
         .map(|_| {
@@ -24,7 +24,7 @@ fn clustered(count: usize, seed: u64) -> Vec<Descriptor> {
         .collect()
 }
 
-fn exact(queries: &[Descriptor], points: &[Descriptor]) -> Vec<Nearest> {
+fn exact(queries: &[SiftDescriptor], points: &[SiftDescriptor]) -> Vec<Nearest> {
     nearest(&Prepared::new(queries), &Prepared::new(points)).of_a
 }
 
@@ -33,7 +33,7 @@ fn exact(queries: &[Descriptor], points: &[Descriptor]) -> Vec<Nearest> {
 fn check_tree(
     forest: &Forest,
     at: u32,
-    is_inside: &dyn Fn(&Descriptor) -> bool,
+    is_inside: &dyn Fn(&SiftDescriptor) -> bool,
     points: &mut Vec<u32>,
 ) -> u32 {
     match forest.nodes[at as usize].kind() {
@@ -158,7 +158,7 @@ proptest! {
         let fill = |list: &[Vec<u8>]| {
             list.iter()
                 .map(|d| std::array::from_fn(|k| if k < 4 { d[k] & 0x83 } else { 7 }))
-                .collect::<Vec<Descriptor>>()
+                .collect::<Vec<SiftDescriptor>>()
         };
         let (points, queries) = (fill(&points), fill(&queries));
         let found = Forest::new(&points, &ForestOptions { trees, seed: 3 })

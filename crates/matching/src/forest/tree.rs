@@ -1,6 +1,6 @@
 //! Memory layout of the trees and of the points in their leaves.
 
-use tiepoint_features::Descriptor;
+use tiepoint_features::SiftDescriptor;
 
 /// Randomized kd-trees over the descriptors of one image.
 #[derive(Clone, Debug)]
@@ -18,7 +18,7 @@ pub struct Forest {
 /// A descriptor that is aligned to cache lines: it occupies exactly two.
 #[derive(Clone, Copy, Debug)]
 #[repr(C, align(64))]
-pub(super) struct Row(pub(super) Descriptor);
+pub(super) struct Row(pub(super) SiftDescriptor);
 
 impl Forest {
     /// Number of descriptors.

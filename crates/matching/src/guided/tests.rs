@@ -1,5 +1,7 @@
-use super::*;
 use proptest::prelude::*;
+use tiepoint_features::{DescriptorFormat, DescriptorKind, Descriptors};
+
+use super::*;
 
 /// The reference implementation: tests all pairs of keypoints.
 fn match_all_pairs(
@@ -8,8 +10,9 @@ fn match_all_pairs(
     guide: &EpipolarGuide,
     options: &Options,
 ) -> Vec<Match> {
-    let mut of_a = vec![Nearest::NONE; a.descriptors.len()];
-    let mut of_b = vec![Nearest::NONE; b.descriptors.len()];
+    let [sift_a, sift_b] = [a, b].map(|features| features.descriptors.as_sift().unwrap());
+    let mut of_a = vec![Nearest::NONE; sift_a.len()];
+    let mut of_b = vec![Nearest::NONE; sift_b.len()];
     for (i, nearest_of_a) in of_a.iter_mut().enumerate() {
         for (j, nearest_of_b) in of_b.iter_mut().enumerate() {
             let line = line_in_b(&guide.fundamental, &a.keypoints[i]);
@@ -20,7 +23,7 @@ fn match_all_pairs(
                 normal_squared.min(normal_squared_in_a(&guide.fundamental, &b.keypoints[j]));
             let allowed = guide.max_error_px * guide.max_error_px * normal_squared;
             if allowed > 0.0 && product * product <= allowed {
-                let distance = squared_distance(&a.descriptors[i], &b.descriptors[j]);
+                let distance = squared_distance(&sift_a[i], &sift_b[j]);
                 nearest_of_a.update(j as u32, distance);
                 nearest_of_b.update(i as u32, distance);
             }
@@ -34,16 +37,24 @@ fn match_all_pairs(
 fn features() -> impl Strategy<Value = Features> {
     prop::collection::vec((0.0f32..640.0, 0.0f32..480.0, any::<[u8; 3]>()), 0..60).prop_map(
         |list| {
-            let mut features = Features::default();
-            for (x, y, bytes) in list {
-                features.keypoints.push(Keypoint { x, y, scale: 1.0, orientation: 0.0 });
-                let mut descriptor = [0; 128];
-                descriptor[..3].copy_from_slice(&bytes.map(|byte| byte & 7));
-                features.descriptors.push(descriptor);
+            let keypoint =
+                |&(x, y, _): &(f32, f32, _)| Keypoint { x, y, scale: 1.0, orientation: 0.0 };
+            let descriptor = |(_, _, bytes): &(f32, f32, [u8; 3])| {
+                std::array::from_fn(|k| bytes.get(k).map_or(0, |byte| byte & 7))
+            };
+            Features {
+                keypoints: list.iter().map(keypoint).collect(),
+                descriptors: list.iter().map(descriptor).collect(),
             }
-            features
         },
     )
+}
+
+/// The same features with descriptors of another kind.
+fn with_kind(features: &Features, kind: DescriptorKind) -> Features {
+    let format = DescriptorFormat { kind, dim: 128 };
+    let descriptors = Descriptors::new(format, features.descriptors.entries().clone()).unwrap();
+    Features { descriptors, ..features.clone() }
 }
 
 proptest! {
@@ -68,10 +79,11 @@ proptest! {
                 preempt: None,
                 ..Options::default()
             };
-            prop_assert_eq!(
-                match_guided(&a, &b, &guide, &options),
-                match_all_pairs(&a, &b, &guide, &options)
-            );
+            let expected = match_all_pairs(&a, &b, &guide, &options);
+            prop_assert_eq!(match_guided(&a, &b, &guide, &options), expected.clone());
+            // Other kinds of descriptors have the same candidates.
+            let [a, b] = [&a, &b].map(|features| with_kind(features, DescriptorKind::Bytes));
+            prop_assert_eq!(match_guided(&a, &b, &guide, &options), expected);
         }
     }
 }
@@ -85,7 +97,7 @@ fn distinguishes_repeated_structures() {
     // Three equal features above each other.
     let a = Features {
         keypoints: vec![at(10.0, 10.0), at(10.0, 50.0), at(10.0, 90.0)],
-        descriptors: vec![[40; 128]; 3],
+        descriptors: vec![[40; 128]; 3].into(),
     };
     let b =
         Features { keypoints: vec![at(30.0, 90.5), at(30.0, 9.5), at(30.0, 50.0)], ..a.clone() };
@@ -99,7 +111,7 @@ fn distinguishes_repeated_structures() {
 fn degenerate_geometry_gives_no_matches() {
     let at = |x, y| Keypoint { x, y, scale: 2.0, orientation: 0.0 };
     let keypoints = vec![at(10.0, 10.0), at(f32::NAN, 3.0), at(f32::INFINITY, 9.0)];
-    let features = Features { keypoints, descriptors: vec![[40; 128]; 3] };
+    let features = Features { keypoints, descriptors: vec![[40; 128]; 3].into() };
     for (f, max_error_px) in
         [([[0.0; 3]; 3], 1.0), ([[f64::NAN; 3]; 3], 1.0), (SIDEWAYS, f64::NAN), (SIDEWAYS, 0.0)]
     {

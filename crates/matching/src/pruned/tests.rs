@@ -1,14 +1,14 @@
-use tiepoint_features::Descriptor;
+use tiepoint_features::SiftDescriptor;
+use tiepoint_simd::Rng;
 
 use super::*;
 use crate::brute::nearest_on;
-use crate::matcher::select;
+use crate::match_sift::select;
 use crate::random::stream;
-use tiepoint_simd::Rng;
 
 /// A random descriptor similar to SIFT: a few edges, each interpolated over cells and directions,
 /// with norm 512.
-fn descriptor(random: &mut Rng) -> Descriptor {
+fn descriptor(random: &mut Rng) -> SiftDescriptor {
     const EDGES: usize = 8;
     let mut uniform = |end: f64| random.below(1000) as f64 / 1000.0 * end;
     let edges: [[f64; 4]; EDGES] = std::array::from_fn(|_| {
@@ -26,25 +26,25 @@ fn descriptor(random: &mut Rng) -> Descriptor {
     normalised(&std::array::from_fn(entry))
 }
 
-fn normalised(entries: &[f64; 128]) -> Descriptor {
+fn normalised(entries: &[f64; 128]) -> SiftDescriptor {
     let norm = entries.iter().map(|x| x * x).sum::<f64>().sqrt();
     entries.map(|x| (512.0 * x / norm).round().min(255.0) as u8)
 }
 
 /// `near` with noise.
-fn similar(near: &Descriptor, noise: usize, random: &mut Rng) -> Descriptor {
+fn similar(near: &SiftDescriptor, noise: usize, random: &mut Rng) -> SiftDescriptor {
     normalised(&near.map(|x| f64::from(x) + random.below(noise + 1) as f64))
 }
 
 /// Two images. Half of the descriptors of the second are those of the first with increasing noise.
 /// Both images have duplicates.
-fn images(len: [usize; 2], seed: u64) -> [Vec<Descriptor>; 2] {
+fn images(len: [usize; 2], seed: u64) -> [Vec<SiftDescriptor>; 2] {
     let mut random = stream(seed, 0);
-    let mut a: Vec<Descriptor> = (0..len[0]).map(|_| descriptor(&mut random)).collect();
+    let mut a: Vec<SiftDescriptor> = (0..len[0]).map(|_| descriptor(&mut random)).collect();
     for k in (0..len[0]).step_by(9) {
         a[k] = similar(&a[(k * 7 + 1) % len[0]], 5, &mut random);
     }
-    let mut b: Vec<Descriptor> = (0..len[1])
+    let mut b: Vec<SiftDescriptor> = (0..len[1])
         .map(|k| match k % 2 {
             0 => similar(&a[(k * 31) % len[0]], k % 100, &mut random),
             _ => descriptor(&mut random),
@@ -58,7 +58,7 @@ fn images(len: [usize; 2], seed: u64) -> [Vec<Descriptor>; 2] {
 
 /// Compares the matches with those of brute force on every instruction set. Returns the number of
 /// instruction sets for which pruning applied.
-fn check(a: &[Descriptor], b: &[Descriptor], options: &Options) -> usize {
+fn check(a: &[SiftDescriptor], b: &[SiftDescriptor], options: &Options) -> usize {
     let (a, b) = (Prepared::new(a), Prepared::new(b));
     let mut num_pruned = 0;
     for isa in Isa::supported() {
@@ -89,7 +89,7 @@ fn pruning_gives_the_matches_of_brute_force() {
 fn pruning_of_any_descriptors() {
     let mut random = stream(9, 0);
     for levels in [2, 3, 256] {
-        let mut image = |len: usize| -> Vec<Descriptor> {
+        let mut image = |len: usize| -> Vec<SiftDescriptor> {
             (0..len)
                 .map(|_| std::array::from_fn(|_| (random.below(levels) * 255 / (levels - 1)) as u8))
                 .collect()

@@ -14,7 +14,7 @@
 //! Weights are integers, so that sums are exact in any order.
 
 use rayon::prelude::*;
-use tiepoint_features::Descriptor;
+use tiepoint_features::SiftDescriptor;
 
 use super::Vocabulary;
 use super::index::ranked;
@@ -52,7 +52,7 @@ impl ImageWords {
 
 impl VocabularyTree {
     /// The visual words of an image, from its first [`Vocabulary::LEADING`] descriptors.
-    pub fn describe(&self, descriptors: &[Descriptor]) -> ImageWords {
+    pub fn describe(&self, descriptors: &[SiftDescriptor]) -> ImageWords {
         let descriptors = &descriptors[..descriptors.len().min(Vocabulary::LEADING)];
         let words = self.assign(descriptors);
         let mut order: Vec<u32> = (0..words.len() as u32).collect();

@@ -1,6 +1,6 @@
 //! The similarity of images.
 
-/// An image of a [`RetrievalIndex`](crate::RetrievalIndex) and its similarity to a query image.
+/// An image of a [`RetrievalIndex`](super::RetrievalIndex) and its similarity to a query image.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Similar {
     /// Number of the image: images are numbered from 0 in the order in which they were added.

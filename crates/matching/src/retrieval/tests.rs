@@ -1,5 +1,5 @@
 use proptest::prelude::*;
-use tiepoint_features::Descriptor;
+use tiepoint_features::SiftDescriptor;
 
 use super::index::dot;
 use super::*;
@@ -7,24 +7,27 @@ use crate::brute::Isa;
 use crate::random::stream;
 
 /// Descriptors of random direction in the first quadrant.
-fn noise(count: usize, seed: u64) -> Vec<Descriptor> {
+fn noise(count: usize, seed: u64) -> Vec<SiftDescriptor> {
     let mut random = stream(seed, 1);
     (0..count).map(|_| std::array::from_fn(|_| random.below(90) as u8)).collect()
 }
 
 /// A sequence of images along a wall of features. Each image has 60 features, shifted by 10 from
 /// the previous image, with noise in the descriptors.
-fn wall_sequence(images: usize) -> Vec<Vec<Descriptor>> {
+fn wall_sequence(images: usize) -> Vec<Vec<SiftDescriptor>> {
     let wall = noise(10 * images + 60, 3);
     let mut random = stream(4, 1);
     let mut seen_again =
-        |descriptor: &Descriptor| descriptor.map(|x| x.saturating_add(random.below(9) as u8));
+        |descriptor: &SiftDescriptor| descriptor.map(|x| x.saturating_add(random.below(9) as u8));
     (0..images)
         .map(|at| wall[10 * at..10 * at + 60].iter().map(&mut seen_again).collect())
         .collect()
 }
 
-fn index(images: &[Vec<Descriptor>], options: &VocabularyOptions) -> (Vocabulary, RetrievalIndex) {
+fn index(
+    images: &[Vec<SiftDescriptor>],
+    options: &VocabularyOptions,
+) -> (Vocabulary, RetrievalIndex) {
     let vocabulary = Vocabulary::learn(&images.concat(), options);
     let index = images.iter().map(|image| vocabulary.describe(image)).collect();
     (vocabulary, index)
@@ -93,7 +96,7 @@ fn diffusion_relates_images_without_common_features() {
 
 #[test]
 fn related_falls_back_to_the_most_similar_images() {
-    let images: Vec<Vec<Descriptor>> = (0..30).map(|at| noise(50, 100 + at)).collect();
+    let images: Vec<Vec<SiftDescriptor>> = (0..30).map(|at| noise(50, 100 + at)).collect();
     let (vocabulary, index) = index(&images, &VocabularyOptions { words: 8, ..Default::default() });
     for (a, others) in index.related(4, |a, b| !(a + b).is_multiple_of(3)).into_iter().enumerate() {
         let image = a as u32;
@@ -129,8 +132,8 @@ fn k_means_reduces_the_distances_to_words() {
     );
     // Every iteration of k-means reduces the sum of squared distances.
     let sum_of_distances = |vocabulary: &Vocabulary| -> u64 {
-        let packed = crate::Prepared::new(&sample);
-        let found = crate::nearest(&packed, vocabulary.packed()).of_a;
+        let packed = crate::prepared::Prepared::new(&sample);
+        let found = crate::brute::nearest(&packed, vocabulary.packed()).of_a;
         found.iter().map(|nearest| u64::from(nearest.distance)).sum()
     };
     let sums: Vec<u64> = (0..4)
@@ -155,7 +158,7 @@ fn small_and_empty_samples() {
     assert_eq!(RetrievalIndex::default().pairs(3, &[]), []);
 }
 
-fn inverted_index(images: &[Vec<Descriptor>]) -> (Vec<ImageWords>, InvertedIndex) {
+fn inverted_index(images: &[Vec<SiftDescriptor>]) -> (Vec<ImageWords>, InvertedIndex) {
     let sample = images.concat();
     let vocabulary = VocabularyTree::learn(&sample, sample.len() / 16, 0);
     let described: Vec<ImageWords> =
@@ -269,11 +272,11 @@ fn vocabulary_tree_of_few_descriptors() {
 fn words_are_mostly_the_nearest_of_all() {
     let sample = noise(2000, 12);
     let vocabulary = VocabularyTree::learn(&sample, 250, 0);
-    let distance = |descriptor: &Descriptor, word: u32| {
+    let distance = |descriptor: &SiftDescriptor, word: u32| {
         crate::distance::squared_distance(descriptor, vocabulary.word(word))
     };
     let words = vocabulary.assign(&sample);
-    let is_nearest = |(descriptor, &word): (&Descriptor, &u32)| {
+    let is_nearest = |(descriptor, &word): (&SiftDescriptor, &u32)| {
         (0..vocabulary.len() as u32).all(|w| distance(descriptor, w) >= distance(descriptor, word))
     };
     let nearest = sample.iter().zip(&words).filter(|&pair| is_nearest(pair)).count();
@@ -301,7 +304,7 @@ proptest! {
         bytes in prop::collection::vec(any::<u8>(), 0..40),
         seed in any::<u64>(),
     ) {
-        let image: Vec<Descriptor> = bytes
+        let image: Vec<SiftDescriptor> = bytes
             .iter()
             .map(|&x| std::array::from_fn(|k| if k % 3 == 0 { x } else { 255 - x }))
             .collect();

@@ -1,7 +1,7 @@
 //! The vocabulary tree: visual words whose number grows with the number of images.
 
 use rayon::prelude::*;
-use tiepoint_features::Descriptor;
+use tiepoint_features::SiftDescriptor;
 
 use super::vocabulary::{Vocabulary, VocabularyOptions};
 use crate::distance::squared_distance;
@@ -22,7 +22,7 @@ const SAMPLE_PER_NODE: usize = 256;
 #[derive(Clone, Debug)]
 pub struct VocabularyTree {
     nodes: Vocabulary,
-    words: Vec<Descriptor>,
+    words: Vec<SiftDescriptor>,
     /// Index of the first word of each node, and the number of words.
     starts: Vec<u32>,
 }
@@ -30,23 +30,23 @@ pub struct VocabularyTree {
 impl VocabularyTree {
     /// Learns about `words` words from a sample of descriptors, which should have several times as
     /// many.
-    pub fn learn(sample: &[Descriptor], words: usize, seed: u64) -> Self {
+    pub fn learn(sample: &[SiftDescriptor], words: usize, seed: u64) -> Self {
         let num_nodes = words.isqrt().max(1);
         let step = (sample.len() / (num_nodes * SAMPLE_PER_NODE)).max(1);
-        let few: Vec<Descriptor> = sample.iter().step_by(step).copied().collect();
+        let few: Vec<SiftDescriptor> = sample.iter().step_by(step).copied().collect();
         let options = VocabularyOptions { words: num_nodes, seed, ..VocabularyOptions::default() };
         let nodes = Vocabulary::learn(&few, &options);
-        let mut of_nodes: Vec<Vec<Descriptor>> = vec![Vec::new(); nodes.words().len()];
+        let mut of_nodes: Vec<Vec<SiftDescriptor>> = vec![Vec::new(); nodes.words().len()];
         let assigned: Vec<Vec<u32>> =
             sample.par_chunks(TASK_SIZE).map(|chunk| nodes.assign(&Prepared::new(chunk))).collect();
         for (&node, descriptor) in assigned.iter().flatten().zip(sample) {
             of_nodes[node as usize].push(*descriptor);
         }
-        let learn = |of_node: &Vec<Descriptor>| -> Vec<Descriptor> {
+        let learn = |of_node: &Vec<SiftDescriptor>| -> Vec<SiftDescriptor> {
             let words = (of_node.len() * words).div_ceil(sample.len()).max(1);
             Vocabulary::learn(of_node, &VocabularyOptions { words, ..options }).into_words()
         };
-        let words: Vec<Vec<Descriptor>> = of_nodes.par_iter().map(learn).collect();
+        let words: Vec<Vec<SiftDescriptor>> = of_nodes.par_iter().map(learn).collect();
         let mut starts = vec![0];
         for of_node in &words {
             starts.push(starts[starts.len() - 1] + of_node.len() as u32);
@@ -65,12 +65,12 @@ impl VocabularyTree {
     }
 
     /// The centre of a word.
-    pub(super) fn word(&self, word: u32) -> &Descriptor {
+    pub(super) fn word(&self, word: u32) -> &SiftDescriptor {
         &self.words[word as usize]
     }
 
     /// The word of every descriptor, the first of equally near ones; empty if there are no words.
-    pub(super) fn assign(&self, descriptors: &[Descriptor]) -> Vec<u32> {
+    pub(super) fn assign(&self, descriptors: &[SiftDescriptor]) -> Vec<u32> {
         if self.is_empty() {
             return Vec::new();
         }
@@ -84,7 +84,7 @@ impl VocabularyTree {
 
     /// The nearest word of a node. A node without descriptors in the sample has none; the word
     /// before its place stands for it.
-    fn nearest(&self, descriptor: &Descriptor, node: u32) -> u32 {
+    fn nearest(&self, descriptor: &SiftDescriptor, node: u32) -> u32 {
         let [start, end] = [self.starts[node as usize], self.starts[node as usize + 1]];
         (start..end)
             .min_by_key(|&word| squared_distance(descriptor, self.word(word)))

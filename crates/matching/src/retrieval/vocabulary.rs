@@ -1,7 +1,7 @@
 //! The vocabulary of visual words and the VLAD descriptors of images.
 
 use rayon::prelude::*;
-use tiepoint_features::Descriptor;
+use tiepoint_features::SiftDescriptor;
 
 use crate::brute::nearest;
 use crate::prepared::Prepared;
@@ -34,7 +34,7 @@ impl Default for VocabularyOptions {
 /// A vocabulary of visual words: the k-means centres of descriptors.
 #[derive(Clone, Debug)]
 pub struct Vocabulary {
-    words: Vec<Descriptor>,
+    words: Vec<SiftDescriptor>,
     packed: Prepared,
 }
 
@@ -53,7 +53,7 @@ impl Vocabulary {
 
     /// Learns the words from a sample of descriptors by k-means. A few hundred descriptors per word
     /// are sufficient.
-    pub fn learn(sample: &[Descriptor], options: &VocabularyOptions) -> Self {
+    pub fn learn(sample: &[SiftDescriptor], options: &VocabularyOptions) -> Self {
         let mut order: Vec<u32> = (0..sample.len() as u32).collect();
         stream(options.seed, 0).shuffle(&mut order);
         let words = order.iter().take(options.words).map(|&i| sample[i as usize]).collect();
@@ -70,13 +70,13 @@ impl Vocabulary {
         &self.packed
     }
 
-    fn from_words(words: Vec<Descriptor>) -> Self {
+    fn from_words(words: Vec<SiftDescriptor>) -> Self {
         let packed = Prepared::new(&words);
         Vocabulary { words, packed }
     }
 
     /// One iteration of k-means. A word without assigned descriptors does not change.
-    fn refined(&self, sample: &[Descriptor], chunks: &[Prepared]) -> Self {
+    fn refined(&self, sample: &[SiftDescriptor], chunks: &[Prepared]) -> Self {
         let assigned: Vec<Vec<u32>> = chunks.par_iter().map(|chunk| self.assign(chunk)).collect();
         let mut sums = vec![[0u64; 128]; self.words.len()];
         let mut counts = vec![0u64; self.words.len()];
@@ -86,7 +86,7 @@ impl Vocabulary {
                 *sum += u64::from(x);
             }
         }
-        let mean = |((word, sum), &count): ((&Descriptor, [u64; 128]), &u64)| match count {
+        let mean = |((word, sum), &count): ((&SiftDescriptor, [u64; 128]), &u64)| match count {
             0 => *word,
             _ => sum.map(|sum| ((sum + count / 2) / count) as u8),
         };
@@ -94,12 +94,12 @@ impl Vocabulary {
     }
 
     /// The centres of the words.
-    pub(super) fn words(&self) -> &[Descriptor] {
+    pub(super) fn words(&self) -> &[SiftDescriptor] {
         &self.words
     }
 
     /// The centres of the words alone.
-    pub(super) fn into_words(self) -> Vec<Descriptor> {
+    pub(super) fn into_words(self) -> Vec<SiftDescriptor> {
         self.words
     }
 
@@ -110,14 +110,17 @@ impl Vocabulary {
 
     /// A sample for learning: at most `count` equally spaced descriptors among the first
     /// [`LEADING`](Self::LEADING) of an image.
-    pub fn sample(descriptors: &[Descriptor], count: usize) -> impl Iterator<Item = &Descriptor> {
+    pub fn sample(
+        descriptors: &[SiftDescriptor],
+        count: usize,
+    ) -> impl Iterator<Item = &SiftDescriptor> {
         let leading = &descriptors[..descriptors.len().min(Self::LEADING)];
         leading.iter().step_by(leading.len().div_ceil(count).max(1))
     }
 
     /// The global descriptor of an image, from its first [`LEADING`](Self::LEADING) descriptors. An
     /// image without features has similarity 0 to all images.
-    pub fn describe(&self, descriptors: &[Descriptor]) -> GlobalDescriptor {
+    pub fn describe(&self, descriptors: &[SiftDescriptor]) -> GlobalDescriptor {
         let descriptors = &descriptors[..descriptors.len().min(Self::LEADING)];
         let mut sums = vec![[0i32; 128]; self.words.len()];
         if !self.words.is_empty() {

@@ -1,16 +1,17 @@
 //! Comparison of the kernels with a triple loop, on every instruction set of the CPU.
 
 use proptest::prelude::*;
-use tiepoint_features::Descriptor;
-use tiepoint_matching::{
-    Isa, Match, Nearest, NearestBothWays, Options, Prepared, match_features, nearest, nearest_on,
-};
+use tiepoint_features::SiftDescriptor;
+use tiepoint_matching::sift::{Isa, Nearest, NearestBothWays, Prepared, nearest, nearest_on};
+use tiepoint_matching::{Match, Options};
 use tiepoint_simd::Rng;
 
+use crate::match_sift;
+
 /// The reference implementation.
-fn triple_loop(a: &[Descriptor], b: &[Descriptor]) -> NearestBothWays {
-    let one_way = |from: &[Descriptor], to: &[Descriptor]| {
-        let nearest_of = |x: &Descriptor| {
+fn triple_loop(a: &[SiftDescriptor], b: &[SiftDescriptor]) -> NearestBothWays {
+    let one_way = |from: &[SiftDescriptor], to: &[SiftDescriptor]| {
+        let nearest_of = |x: &SiftDescriptor| {
             let mut found = Nearest::NONE;
             for (index, y) in to.iter().enumerate() {
                 let mut distance = 0;
@@ -31,7 +32,7 @@ fn triple_loop(a: &[Descriptor], b: &[Descriptor]) -> NearestBothWays {
     NearestBothWays { of_a: one_way(a, b), of_b: one_way(b, a) }
 }
 
-fn check(a: &[Descriptor], b: &[Descriptor]) {
+fn check(a: &[SiftDescriptor], b: &[SiftDescriptor]) {
     let expected = triple_loop(a, b);
     let (a, b) = (Prepared::new(a), Prepared::new(b));
     for isa in Isa::supported() {
@@ -49,7 +50,7 @@ fn random_numbers(seed: u64) -> impl FnMut() -> u64 {
 
 /// Random descriptors with `levels` equally spaced values per byte: 2 gives 0 and 255, 256 gives
 /// all.
-fn descriptors(count: usize, levels: u64, seed: u64) -> Vec<Descriptor> {
+fn descriptors(count: usize, levels: u64, seed: u64) -> Vec<SiftDescriptor> {
     let mut next = random_numbers(seed);
     let mut byte = || (next() % levels * 255 / (levels - 1).max(1)) as u8;
     (0..count).map(|_| std::array::from_fn(|_| byte())).collect()
@@ -98,7 +99,7 @@ fn equal_descriptors_give_the_lowest_index() {
 
 #[test]
 fn extreme_bytes() {
-    let extremes: Vec<Descriptor> =
+    let extremes: Vec<SiftDescriptor> =
         [0, 1, 127, 128, 129, 254, 255].into_iter().map(|x| [x; 128]).collect();
     check(&extremes, &extremes);
     for one in &extremes {
@@ -122,7 +123,7 @@ proptest! {
         ),
     ) {
         let fixed = |list: &[Vec<u8>]| {
-            list.iter().map(|d| d.as_slice().try_into().unwrap()).collect::<Vec<Descriptor>>()
+            list.iter().map(|d| d.as_slice().try_into().unwrap()).collect::<Vec<SiftDescriptor>>()
         };
         let (a, mut b) = (fixed(&a), fixed(&b));
         for (from, to) in copies {
@@ -145,7 +146,7 @@ proptest! {
         let padded = |list: &[Vec<u8>]| {
             list.iter()
                 .map(|d| std::array::from_fn(|k| *d.get(k).unwrap_or(&0)))
-                .collect::<Vec<Descriptor>>()
+                .collect::<Vec<SiftDescriptor>>()
         };
         let (a, b) = (padded(&a), padded(&b));
         let options =
@@ -165,23 +166,23 @@ proptest! {
                     || (nearest.of_b[n.index as usize].index == i as u32
                         && passes(&nearest.of_b[n.index as usize])))
             {
-                expected.push(Match { a: i as u32, b: n.index, distance: n.distance });
+                expected.push(Match { a: i as u32, b: n.index, distance: n.distance.into() });
             }
         }
-        prop_assert_eq!(match_features(&a, &b, &options), expected);
+        prop_assert_eq!(match_sift(&a, &b, &options), expected);
     }
 }
 
 #[test]
 fn empty_images_and_zero_descriptors() {
     let options = Options::default();
-    assert_eq!(match_features(&[], &[], &options), []);
-    assert_eq!(match_features(&[[1; 128]], &[], &options), []);
-    assert_eq!(match_features(&[], &[[1; 128]], &options), []);
+    assert_eq!(match_sift(&[], &[], &options), []);
+    assert_eq!(match_sift(&[[1; 128]], &[], &options), []);
+    assert_eq!(match_sift(&[], &[[1; 128]], &options), []);
     assert_eq!(
-        match_features(&[[0; 128]], &[[0; 128]], &options),
-        [Match { a: 0, b: 0, distance: 0 }]
+        match_sift(&[[0; 128]], &[[0; 128]], &options),
+        [Match { a: 0, b: 0, distance: 0.0 }]
     );
     // Two equal candidates fail the ratio test.
-    assert_eq!(match_features(&[[0; 128]], &[[0; 128]; 2], &options), []);
+    assert_eq!(match_sift(&[[0; 128]], &[[0; 128]; 2], &options), []);
 }

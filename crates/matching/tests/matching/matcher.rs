@@ -1,28 +1,31 @@
 //! Mutual matching, preemptive matching and parallel matching of pairs.
 
-use tiepoint_features::{Descriptor, Features, Keypoint};
+use tiepoint_features::{Descriptors, Features, Keypoint, SiftDescriptor};
+use tiepoint_matching::forest::Checks;
+use tiepoint_matching::sift::{Prepared, match_prepared};
 use tiepoint_matching::{
-    Checks, Method, Options, PreemptiveMatching, Prepared, match_features, match_pairs,
-    match_prepared,
+    Matcher, Method, NearestNeighbours, Options, PreemptiveMatching, match_features,
 };
 
 /// Descriptor `k` of a set of descriptors with large mutual distances.
-fn distinct(k: usize) -> Descriptor {
+fn distinct(k: usize) -> SiftDescriptor {
     std::array::from_fn(|i| if i / 8 == k % 16 || i % 8 == k / 16 { 100 } else { 3 })
 }
 
 fn features(order: impl Iterator<Item = usize>) -> Features {
-    let mut features = Features::default();
-    for (place, k) in order.enumerate() {
-        features.keypoints.push(Keypoint {
-            x: place as f32,
-            y: 0.5,
-            scale: 1.0 + k as f32,
-            orientation: 0.0,
-        });
-        features.descriptors.push(distinct(k));
-    }
-    features
+    let keypoint = |(place, k): (usize, usize)| Keypoint {
+        x: place as f32,
+        y: 0.5,
+        scale: 1.0 + k as f32,
+        orientation: 0.0,
+    };
+    let (keypoints, descriptors): (Vec<Keypoint>, Vec<SiftDescriptor>) =
+        order.enumerate().map(|(place, k)| (keypoint((place, k)), distinct(k))).unzip();
+    Features { keypoints, descriptors: descriptors.into() }
+}
+
+fn sift(descriptors: &Descriptors) -> &[SiftDescriptor] {
+    descriptors.as_sift().unwrap()
 }
 
 #[test]
@@ -49,7 +52,11 @@ fn preemptive_matching_uses_the_largest_features() {
     let (a, b) = (features(0..60), features(30..80));
     let full = Options::default();
     let preempt = Options { preempt: Some(PreemptiveMatching { min_matches: 1 }), ..full.clone() };
-    let prepare = |features, leading| Prepared::from_features(features, leading);
+    // The scales increase with the index or decrease with it: the last or the first are largest.
+    let prepare = |features: &Features, leading: usize| {
+        let order: Vec<usize> = (0..features.keypoints.len()).rev().take(leading).collect();
+        Prepared::with_leading(sift(&features.descriptors), &order)
+    };
     assert_eq!(match_prepared(&prepare(&a, 10), &prepare(&b, 10), &full).len(), 30);
     assert_eq!(match_prepared(&prepare(&a, 10), &prepare(&b, 10), &preempt), []);
     // The 25 largest features of both images include 55..60.
@@ -57,27 +64,51 @@ fn preemptive_matching_uses_the_largest_features() {
     assert_eq!(match_prepared(&prepare(&a, 25), &prepare(&b, 25), &preempt), expected);
     // Images that were prepared without leading features are matched in full.
     assert_eq!(
-        match_prepared(&Prepared::new(&a.descriptors), &prepare(&b, 10), &preempt),
+        match_prepared(&Prepared::new(sift(&a.descriptors)), &prepare(&b, 10), &preempt),
         expected
     );
 }
 
 #[test]
-fn match_pairs_does_not_depend_on_the_number_of_threads() {
-    let images: Vec<Prepared> = [0..40, 20..70, 0..0, 10..100]
-        .into_iter()
-        .map(|range| Prepared::from_features(&features(range), 8))
-        .collect();
+fn matches_of_pairs_do_not_depend_on_the_number_of_threads() {
+    let sets = [0..40, 20..70, 0..0, 10..100].map(features);
+    let numbered: Vec<(u32, &Features)> = (0..).zip(&sets).collect();
     let pairs = [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)];
-    let options = Options::default();
-    let expected: Vec<_> = pairs
-        .iter()
-        .map(|&(i, j)| match_prepared(&images[i as usize], &images[j as usize], &options))
-        .collect();
+    let of_pair = |&(i, j): &(u32, u32)| {
+        let [a, b] = [i, j].map(|image| &sets[image as usize].descriptors);
+        match_features(a, b, &Options::default())
+    };
+    let expected: Vec<_> = pairs.iter().map(of_pair).collect();
+    let mut images = NearestNeighbours::default().images();
+    images.insert(&numbered).unwrap();
     for threads in [1, 2, 5] {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        assert_eq!(pool.install(|| match_pairs(&images, &pairs, &options)), expected);
+        assert_eq!(pool.install(|| images.match_pairs(&pairs)).unwrap(), expected);
     }
+}
+
+/// The built-in matcher prepares an image for the options that it has.
+#[test]
+fn the_matcher_uses_forests_and_leading_features() {
+    let (a, b) = (features(0..200), features((100..220).rev()));
+    let numbered = [(0, &a), (1, &b)];
+    let matches = |options: &Options| {
+        let mut images = NearestNeighbours::new(options.clone()).unwrap().images();
+        images.insert(&numbered).unwrap();
+        images.match_pairs(&[(0, 1)]).unwrap().remove(0)
+    };
+    let expected = matches(&Options::default());
+    assert!(!expected.is_empty());
+    let forest = Options { method: Method::Forest(Checks::Total(256)), ..Options::default() };
+    assert_eq!(matches(&forest), expected);
+    let preempt = |min_matches| Options {
+        preempt: Some(PreemptiveMatching { min_matches }),
+        ..Options::default()
+    };
+    // All features are leading ones.
+    let count = expected.len() as u32;
+    assert_eq!(matches(&preempt(count)), expected);
+    assert_eq!(matches(&preempt(count + 1)), []);
 }
 
 #[test]
@@ -88,7 +119,7 @@ fn forests_give_the_matches_of_brute_force_for_distinct_features() {
     let expected = match_features(&a.descriptors, &b.descriptors, &brute);
     assert_eq!(match_features(&a.descriptors, &b.descriptors, &forest), expected);
     // Images without forests are matched by brute force.
-    let (a, b) = (Prepared::new(&a.descriptors), Prepared::new(&b.descriptors));
+    let [a, b] = [a, b].map(|image| Prepared::new(sift(&image.descriptors)));
     assert_eq!(match_prepared(&a, &b, &forest), expected);
 }
 

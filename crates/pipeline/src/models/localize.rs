@@ -1,7 +1,8 @@
 //! Poses of photos in an existing model. Neither the model nor its workspace is changed.
 
-use std::collections::BTreeMap;
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::Instant;
 
 use rayon::prelude::*;
@@ -10,28 +11,29 @@ use tiepoint_input::cameras::{Calibration, CalibrationSource, Calibrations};
 use tiepoint_input::{DEFAULT_MAX_PIXELS, Exif, ImageFolder, ImageInfo};
 use tiepoint_io::colmap::Format;
 use tiepoint_io::database::Database;
-use tiepoint_io::features::{self as sift, Features};
+use tiepoint_io::features::{Extractor, Features, SiftExtractor};
 use tiepoint_sfm::geometry::Rng;
-use tiepoint_sfm::matching::{self, RetrievalIndex, Vocabulary};
+use tiepoint_sfm::matching::retrieval::{RetrievalIndex, Vocabulary};
+use tiepoint_sfm::matching::{Matcher, NearestNeighbours, PreparedImages};
 use tiepoint_sfm::scene::{
     Camera, CameraId, CorrespondenceGraph, Image, ImageId, ImagePair, Observation, Reconstruction,
-    TwoView,
 };
 use tiepoint_sfm::{
     FilterOptions, ImageObservations, Localization, QueryCamera, RegisterOptions, VerifyOptions,
-    localize_image, transfer_model, verify_pair,
+    localize_image, transfer_model,
 };
 use tiepoint_store::Error as StoreError;
 
-use crate::stages::extractors::Extractors;
-use crate::stages::loaded_features::LoadedFeatures;
+use crate::stages::extraction::extract_photo;
 use crate::stages::pair_choice::learn_retrieval;
+use crate::stages::verification::{match_pairs, verify};
 use crate::workspace::database_scene::read_scene;
 use crate::workspace::folder::{DATABASE, current_records, is_workspace};
 use crate::workspace::keypoints::keypoint;
 use crate::workspace::located_model::LocatedModel;
 use crate::workspace::model_output::write_colmap;
-use crate::{Error, Event, Watch, emit};
+use crate::workspace::option_names::EXTRACTOR;
+use crate::{Error, Event, Stage, Watch, emit};
 
 /// Up to this number of images of the model, a photo is matched with all; above it, with this
 /// number of the most similar ones. hloc retrieves as many.
@@ -56,10 +58,10 @@ pub struct LocalizeOptions {
     pub masks: Option<PathBuf>,
     /// Photos with more pixels are skipped.
     pub max_pixels: u64,
-    /// Options of SIFT; those of the model's features.
-    pub detector: sift::Options,
-    /// Options of descriptor matching.
-    pub descriptors: matching::Options,
+    /// What detects and describes keypoints; that of the model's features.
+    pub extractor: Arc<dyn Extractor>,
+    /// What matches descriptors.
+    pub matcher: Arc<dyn Matcher>,
     /// Options of geometric verification.
     pub verify: VerifyOptions,
     /// Options of the absolute pose.
@@ -75,8 +77,8 @@ impl Default for LocalizeOptions {
             calibration_files: Vec::new(),
             masks: None,
             max_pixels: DEFAULT_MAX_PIXELS,
-            detector: sift::Options::default(),
-            descriptors: matching::Options::default(),
+            extractor: Arc::new(SiftExtractor::default()),
+            matcher: Arc::new(NearestNeighbours::default()),
             verify: VerifyOptions::default(),
             register: RegisterOptions::default(),
             seed: 0,
@@ -151,8 +153,9 @@ pub enum CameraSource {
 ///
 /// # Errors
 ///
-/// There is no database with SIFT features; the photos or a calibration cannot be read;
-/// `output` holds files of others or the model; `watch` returns `Break`.
+/// There is no database with features; these are of another extractor; there are more than 50
+/// images without SIFT descriptors; the photos or a calibration cannot be read; `output` holds
+/// files of others or the model; `watch` returns `Break`.
 pub fn localize(
     model: &LocatedModel,
     inputs: &[PathBuf],
@@ -161,8 +164,6 @@ pub fn localize(
     watch: Watch,
 ) -> Result<LocalizeReport, Error> {
     let start = Instant::now();
-    options.descriptors.validate()?;
-    options.detector.validate()?;
     options.verify.validate()?;
     options.register.validate()?;
     let photos = ImageFolder::open(inputs, options.masks.as_deref())?;
@@ -267,8 +268,9 @@ struct ReferenceModel {
     /// Cameras of the model, those of most images first, with what is known of their photos.
     cameras: Vec<(CameraId, Option<ExifKey>)>,
     retrieval: Option<(Vocabulary, RetrievalIndex)>,
-    loaded: BTreeMap<ImageId, LoadedFeatures>,
-    extractors: Extractors,
+    /// The images in memory.
+    loaded: BTreeSet<ImageId>,
+    images: Box<dyn PreparedImages>,
 }
 
 /// What the photos of a camera have in common: the body, the lens and its setting.
@@ -295,9 +297,7 @@ impl ReferenceModel {
         };
         let database_file = root.join(DATABASE);
         let database = Database::open_read_only(&database_file)?;
-        if let Some(image) = database.image_without_sift()? {
-            return Err(Error::NoSift { path: database_file, image });
-        }
+        require_features_of(&database, root, &*options.extractor)?;
         let scene = read_scene(&database)?;
         let num_images = scene.num_images();
         let model = &located.reconstruction;
@@ -317,7 +317,7 @@ impl ReferenceModel {
             false => None,
         };
         let cameras = exif_of_cameras(root, &scene);
-        let (loaded, extractors) = (BTreeMap::new(), Extractors::new(options.detector));
+        let (loaded, images) = (BTreeSet::new(), options.matcher.images());
         Ok(Self {
             folder,
             database_file,
@@ -327,7 +327,7 @@ impl ReferenceModel {
             cameras,
             retrieval,
             loaded,
-            extractors,
+            images,
         })
     }
 
@@ -352,7 +352,7 @@ impl ReferenceModel {
         };
         let cameras = self.cameras_of(name, index, &info, calibrations, options)?;
         // Not the features of the database, whose image of this name may be another photo.
-        let features = match self.extractors.extract_photo(photos, index) {
+        let features = match extract_photo(&*options.extractor, photos, index) {
             Ok(features) => features,
             Err(error) => return Ok(Err(error.to_string())),
         };
@@ -418,32 +418,26 @@ impl ReferenceModel {
     ) -> Result<Result<Localization, usize>, Error> {
         let candidates = self.similar_images(query);
         self.load(&candidates)?;
-        let own = LoadedFeatures::new(&query.features);
-        let (loaded, scene) = (&self.loaded, &self.scene);
-        let two_views: Vec<Option<(ImagePair, TwoView)>> = candidates
-            .par_iter()
-            .map(|&image| {
-                let other = &loaded[&image];
-                let pair = ImagePair::new(image, query.image)?;
-                let matches = other.matches(&own, &options.descriptors);
-                let view = |keypoints, image| ImageObservations {
-                    keypoints,
-                    camera: scene.camera_of(image),
-                };
-                let key = [u64::from(pair.a.0), u64::from(pair.b.0)];
-                let seed = Rng::stream(options.seed, &key).next_u64();
-                let two_view = verify_pair(
-                    view(&other.keypoints, image),
-                    view(&own.keypoints, query.image),
-                    &matches,
-                    &options.verify,
-                    seed,
-                );
-                Some((pair, two_view))
+        let own = query.image;
+        self.images.insert(&[(own.0, &query.features)]).map_err(Error::Method)?;
+        // The image of a photo comes behind those of the database.
+        let pairs: Vec<ImagePair> =
+            candidates.iter().filter_map(|image| ImagePair::new(*image, own)).collect();
+        let count = |image: ImageId| self.scene.image(image).keypoints.len();
+        let matched = match_pairs(&*self.images, &pairs, count)?;
+        self.images.retain(&|image| image != own.0);
+        let scene = &self.scene;
+        let view = |image| ImageObservations {
+            keypoints: &scene.image(image).keypoints,
+            camera: scene.camera_of(image),
+        };
+        let two_views: Vec<_> = (pairs.par_iter().zip(matched))
+            .map(|(pair, matches)| {
+                (*pair, verify(*pair, view, &matches, &options.verify, options.seed))
             })
             .collect();
         let counts: Vec<usize> = scene.images().map(|(_, image)| image.keypoints.len()).collect();
-        let graph = CorrespondenceGraph::new(&counts, two_views.into_iter().flatten());
+        let graph = CorrespondenceGraph::new(&counts, two_views);
         let cameras: Vec<QueryCamera> = query.cameras.iter().map(|(camera, _)| *camera).collect();
         let found = localize_image(
             &graph,
@@ -460,7 +454,8 @@ impl ReferenceModel {
     /// The images that a photo is matched with.
     fn similar_images(&self, query: &Query) -> Vec<ImageId> {
         let Some((vocabulary, index)) = &self.retrieval else { return self.posed.clone() };
-        let described = vocabulary.describe(&query.features.descriptors);
+        let described =
+            vocabulary.describe(query.features.descriptors.as_sift().unwrap_or_default());
         let mut similar: Vec<ImageId> = index
             .most_similar(&described, MAX_IMAGES, |_| true)
             .into_iter()
@@ -473,12 +468,14 @@ impl ReferenceModel {
     /// Loads the features of images of the database.
     fn load(&mut self, images: &[ImageId]) -> Result<(), Error> {
         if self.loaded.len() + images.len() > MAX_LOADED {
-            self.loaded.retain(|image, _| images.contains(image));
+            self.loaded.retain(|image| images.contains(image));
+            self.images.retain(&|image| images.contains(&ImageId(image)));
         }
         for &image in images {
-            if !self.loaded.contains_key(&image) {
+            if !self.loaded.contains(&image) {
                 let features = self.database.read_features(image)?;
-                self.loaded.insert(image, LoadedFeatures::new(&features));
+                self.images.insert(&[(image.0, &features)]).map_err(Error::Method)?;
+                self.loaded.insert(image);
             }
         }
         Ok(())
@@ -495,6 +492,29 @@ impl ReferenceModel {
             }
         }
     }
+}
+
+/// Checks that the features of a database are those of an extractor, as far as the database and the
+/// records beside it tell.
+fn require_features_of(
+    database: &Database,
+    root: &Path,
+    extractor: &dyn Extractor,
+) -> Result<(), Error> {
+    let path = database.path().to_owned();
+    if let Some(image) = database.image_without_descriptors()? {
+        return Err(Error::NoDescriptors { path, image });
+    }
+    let records = is_workspace(root).then(|| current_records(root).ok()).flatten();
+    let (key, built_in) = EXTRACTOR;
+    let name = records.as_ref().map(|all| all.option(Stage::Features, key).unwrap_or(built_in));
+    let (found, asked) = (database.descriptor_format()?, extractor.format());
+    let (found, asked) = match name {
+        _ if found != asked => (found.to_string(), asked.to_string()),
+        Some(name) if name != extractor.name() => (name.to_owned(), extractor.name().to_owned()),
+        _ => return Ok(()),
+    };
+    Err(Error::OtherFeatures { path, found, asked })
 }
 
 /// The cameras of a model, those of most images first, and the facts in EXIF of a photo of each; of

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::Read;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use tiepoint_input::cameras::{
     Calibration, CalibrationSource, Calibrations, FoundCameras, Photo, firsts,
@@ -12,14 +13,14 @@ use tiepoint_input::fingerprint::hash_file;
 use tiepoint_input::parallel::{budget_bytes, for_each_within_budget};
 use tiepoint_input::{CameraGrouping, DEFAULT_MAX_PIXELS, ImageInfo, Photos, SkippedImage};
 use tiepoint_io::database::{Database, read_stage_rows};
-use tiepoint_io::features::{self as sift, Features};
+use tiepoint_io::features::{Extractor, Features, SiftExtractor};
 use tiepoint_io::names::ByName;
 use tiepoint_io::timestamps;
 use tiepoint_sfm::geometry::numeric::median;
 use tiepoint_sfm::scene::{Camera, CameraId, Image, ImageId};
 use tiepoint_store::Error as StoreError;
 
-use crate::stages::extractors::{Extractors, memory_of};
+use crate::stages::extraction::{extract_photo, memory_of};
 use crate::stages::option_keys;
 use crate::workspace::folder::TIMESTAMPS;
 use crate::workspace::records::Recipe;
@@ -36,8 +37,8 @@ pub struct FeatureOptions {
     pub calibration_files: Vec<CalibrationSource>,
     /// Which photos share a camera.
     pub cameras: CameraGrouping,
-    /// Options of SIFT.
-    pub detector: sift::Options,
+    /// What detects and describes keypoints.
+    pub extractor: Arc<dyn Extractor>,
     /// CSV file of the capture times with the header `image,seconds`; `None`: times in the file
     /// names or in EXIF.
     pub timestamps: Option<PathBuf>,
@@ -52,7 +53,7 @@ impl Default for FeatureOptions {
             calibration: Calibration::default(),
             calibration_files: Vec::new(),
             cameras: CameraGrouping::default(),
-            detector: sift::Options::default(),
+            extractor: Arc::new(SiftExtractor::default()),
             timestamps: None,
             max_pixels: DEFAULT_MAX_PIXELS,
         }
@@ -63,16 +64,18 @@ impl FeatureOptions {
     /// The recipe of the stage: fingerprint of the photos, the options, and what was found of the
     /// cameras.
     fn recipe(&self, photos: &Photos, found: &FoundCameras) -> Result<Recipe, Error> {
-        let Self { calibration, calibration_files, cameras, detector, timestamps, max_pixels } =
+        let Self { calibration, calibration_files, cameras, extractor, timestamps, max_pixels } =
             self;
         let files = calibration_files.iter().map(CalibrationSource::fingerprint);
         let files: Vec<String> = files.collect::<Result<_, _>>()?;
         let timestamps = timestamps.as_deref().map(hash_file).transpose()?;
-        let mut texts = option_keys::feature_options(calibration, detector, timestamps);
+        let mut texts = option_keys::feature_options(calibration, timestamps);
         texts.push(option_keys::pixel_limit_option(*max_pixels));
         texts.push(option_keys::cameras_option(*cameras));
         texts.push(option_keys::calibration_files_option(&files));
         texts.extend(found.facts.texts());
+        let texts = texts.into_iter().map(|(key, value)| (key.to_owned(), value));
+        let texts = texts.chain(option_keys::extractor_options(&**extractor));
         Ok(Recipe::new(photos.fingerprint()?, texts))
     }
 }
@@ -92,7 +95,6 @@ pub fn extract_features(
     redo: Option<Stage>,
     watch: Watch,
 ) -> Result<(), Error> {
-    options.detector.validate()?;
     let photos = &photos.with_max_pixels(options.max_pixels);
     let calibrations = Calibrations::read(&options.calibration_files, &photos.folder)?;
     let (usable, skipped) = photos.survey(options.cameras, &calibrations)?;
@@ -141,10 +143,10 @@ impl Survey<'_> {
         run.began(self.usable.len(), self.usable.len() - tasks.len())?;
         let notes = self.notes();
         self.announce(run, options, &notes, &skipped)?;
-        let extractors = Extractors::new(options.detector);
+        let extractor = &*options.extractor;
         let folder = &self.photos.folder;
-        let work = |(_, photo): &(ImageId, &Photo)| extractors.extract_photo(folder, photo.index);
-        let bytes = |(_, photo): &(ImageId, &Photo)| memory_of(&photo.info);
+        let work = |(_, photo): &(ImageId, &Photo)| extract_photo(extractor, folder, photo.index);
+        let bytes = |(_, photo): &(ImageId, &Photo)| memory_of(extractor, &photo.info);
         let take = |(id, photo): &(ImageId, &Photo), found: Result<Features, Error>| {
             let image = self.photos.name(photo);
             match found {

@@ -139,13 +139,16 @@ pub(crate) fn has_imported_pairs(workspace: &Workspace, redo: Option<Stage>) -> 
 ///
 /// # Errors
 ///
-/// [`Error::NoSift`].
-pub(crate) fn require_sift(workspace: &Workspace, database: &Database) -> Result<(), Error> {
-    let is_imported = workspace.records.option(Stage::Features, option_names::DATABASE).is_some();
-    match is_imported.then(|| database.image_without_sift()).transpose()?.flatten() {
-        Some(image) => Err(Error::NoSift { path: workspace.database(), image }),
-        None => Ok(()),
+/// [`Error::NoDescriptors`]; descriptors of several kinds, or of one that is not known.
+pub(crate) fn require_descriptors(workspace: &Workspace, database: &Database) -> Result<(), Error> {
+    if workspace.records.option(Stage::Features, option_names::DATABASE).is_none() {
+        return Ok(());
     }
+    if let Some(image) = database.image_without_descriptors()? {
+        return Err(Error::NoDescriptors { path: workspace.database(), image });
+    }
+    database.descriptor_format()?;
+    Ok(())
 }
 
 /// Stage 2 for pairs that came with the database: verifies those that have matches alone.
@@ -162,7 +165,8 @@ pub(crate) fn verify_imported_pairs(
     watch: Watch,
 ) -> Result<(), Error> {
     let input = workspace.fingerprint(Stage::Features)?;
-    let recipe = Recipe::new(input, option_keys::imported_pairs_options(options, seed));
+    let pairs = option_names::PAIRS_OF_DATABASE.to_owned();
+    let recipe = Recipe::new(input, option_keys::matching_options(pairs, options, seed));
     let request = StageRequest { stage: Stage::Match, recipe, redo, inputs: None };
     workspace.run_stage(request, watch, |run| verify_all(run, options, seed))
 }

@@ -10,6 +10,7 @@ use tiepoint_input::fingerprint::hash_file;
 use tiepoint_input::{ImageFolder, Size};
 use tiepoint_io::colmap::Format;
 use tiepoint_io::database::{Database, DatabaseFrame};
+use tiepoint_io::features::Descriptors;
 use tiepoint_io::{ply, timestamps};
 use tiepoint_sfm::scene::{
     Camera, CameraId, CorrespondenceGraph, Image, ImageId, Reconstruction, TwoViewKind,
@@ -20,6 +21,7 @@ use tiepoint_sfm::{
 };
 
 use crate::stages::colors::color_points;
+use crate::stages::foreign_database::require_descriptors;
 use crate::stages::input_model::{InputModel, OpenedModel};
 use crate::stages::option_keys;
 use crate::stages::rig_calibration::known_rigs;
@@ -201,17 +203,19 @@ impl<'a> MapRequest<'a> {
         let MapInput { scene, graph, known_rigs } = input;
         let name = |id| scene.image(id).name.as_str();
         let database = Database::open(&run.workspace.database())?;
-        let has_sift = !self.is_imported || database.image_without_sift()?.is_none();
+        // Those of another program may be missing, or of a kind that is not known.
+        let has_descriptors =
+            !self.is_imported || require_descriptors(run.workspace, &database).is_ok();
         let mut unreadable = None;
         let mut descriptors = |image: ImageId| {
             // The images of an input model come behind those of the database.
-            if !has_sift || image.index() >= database.num_images() {
-                return Vec::new();
+            if !has_descriptors || image.index() >= database.num_images() {
+                return Descriptors::default();
             }
             database.read_features(image).map_or_else(
                 |error| {
                     unreadable.get_or_insert(error);
-                    Vec::new()
+                    Descriptors::default()
                 },
                 |features| features.descriptors,
             )

@@ -1,26 +1,31 @@
 //! Stage 2: matches image pairs and verifies them by two-view geometry.
 //!
 //! Pairs are processed in tiles of the image × image matrix, so that at most the descriptors of two
-//! blocks of images are in memory at a time.
+//! blocks of images are in memory at a time. The matcher gets the pairs of a tile in batches.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
 use std::time::Instant;
 
 use rayon::prelude::*;
 use tiepoint_input::parallel::for_each_in_order;
 use tiepoint_io::database::Database;
-use tiepoint_io::features::Features;
+use tiepoint_io::features::{DescriptorFormat, Features};
 use tiepoint_sfm::geometry::Rng;
-use tiepoint_sfm::matching::{self, PairSelection};
-use tiepoint_sfm::scene::{Camera, Image, ImageId, ImagePair, Match, TwoView};
+use tiepoint_sfm::matching::{
+    AutoPairs, Matcher, NearestNeighbours, PairSelection, PreparedImages,
+};
+use tiepoint_sfm::scene::{Camera, Image, ImageId, ImagePair, Keypoint, Match, TwoView};
 use tiepoint_sfm::{ImageObservations, VerifyOptions};
 
-use crate::stages::foreign_database::{has_imported_pairs, require_sift, verify_imported_pairs};
-use crate::stages::loaded_features::LoadedFeatures;
+use crate::stages::foreign_database::{
+    has_imported_pairs, require_descriptors, verify_imported_pairs,
+};
 use crate::stages::option_keys;
 use crate::stages::pair_choice::{self, IMAGES_READ_AT_ONCE, PairChoice};
 use crate::stages::stationary::Removal;
-use crate::stages::verification::verify;
+use crate::stages::verification::{self, verify};
+use crate::workspace::keypoints::keypoint;
 use crate::workspace::option_names::PAIRS;
 use crate::workspace::records::Recipe;
 use crate::workspace::report::MatchReport;
@@ -44,8 +49,8 @@ const MAX_TIMED_PAIRS: usize = 64;
 pub struct MatchOptions {
     /// Image pairs to match.
     pub pairs: PairSelection,
-    /// Options of descriptor matching.
-    pub descriptors: matching::Options,
+    /// What matches descriptors.
+    pub matcher: Arc<dyn Matcher>,
     /// Options of geometric verification.
     pub verify: VerifyOptions,
     /// Seed of all random numbers.
@@ -56,7 +61,7 @@ impl Default for MatchOptions {
     fn default() -> Self {
         Self {
             pairs: PairSelection::Auto,
-            descriptors: matching::Options::default(),
+            matcher: Arc::new(NearestNeighbours::default()),
             verify: VerifyOptions::default(),
             seed: 0,
         }
@@ -66,8 +71,10 @@ impl Default for MatchOptions {
 impl MatchOptions {
     /// The recipe of the stage; `input`: fingerprint of the feature stage.
     fn recipe(&self, input: String) -> Recipe {
-        let Self { pairs, descriptors, verify, seed } = self;
-        Recipe::new(input, option_keys::matching_options(pairs, descriptors, verify, *seed))
+        let Self { pairs, matcher, verify, seed } = self;
+        let texts = option_keys::matching_options(pairs.to_string(), verify, *seed);
+        let texts = texts.into_iter().map(|(key, value)| (key.to_owned(), value));
+        Recipe::new(input, texts.chain(option_keys::matcher_options(&**matcher)))
     }
 }
 
@@ -85,9 +92,9 @@ fn resolved(
         return Ok(by_record);
     }
     let database = Database::open(&workspace.database())?;
-    let images = database.num_images();
+    let found = pair_choice::resolved_in(&database, pairs)?;
     database.close()?;
-    Ok(pair_choice::resolved(pairs, images, None))
+    Ok(found)
 }
 
 /// Matches and verifies the pairs of a workspace that has features, or resumes that.
@@ -102,12 +109,12 @@ pub fn match_images(
     redo: Option<Stage>,
     watch: Watch,
 ) -> Result<(), Error> {
-    options.descriptors.validate()?;
     options.verify.validate()?;
     if has_imported_pairs(workspace, redo) {
         return verify_imported_pairs(workspace, &options.verify, options.seed, redo, watch);
     }
     let input = workspace.fingerprint(Stage::Features)?;
+    let is_auto = options.pairs == PairSelection::Auto;
     let options =
         &MatchOptions { pairs: resolved(options.pairs, workspace, redo)?, ..options.clone() };
     let recipe = options.recipe(input);
@@ -115,13 +122,21 @@ pub fn match_images(
     workspace.run_stage(request, watch, |run| {
         let workspace = &mut *run.workspace;
         let mut database = Database::open(&workspace.database())?;
-        require_sift(workspace, &database)?;
+        require_descriptors(workspace, &database)?;
         if run.begins {
             database.clear_matches_for(&workspace.records.rows())?;
             workspace.note(|_| {})?;
         }
         let images = database.read_images()?;
         let MatchOptions { pairs, seed, .. } = *options;
+        let format = database.descriptor_format()?;
+        if is_auto && images.len() > AutoPairs::MAX_EXHAUSTIVE && format != DescriptorFormat::SIFT {
+            let what = format!(
+                "similar images are found by SIFT descriptors, and those of these images are \
+                {format}: all pairs are matched"
+            );
+            emit(run.watch, &Event::Noted { what: &what })?;
+        }
         let choice =
             pair_choice::choose_pairs_of_images(workspace, &database, &images, pairs, seed)?;
         let report = match_pairs(&mut database, choice, options, run.watch)?;
@@ -149,36 +164,36 @@ pub fn match_pairs(
     let pending: Vec<ImagePair> = all.iter().copied().filter(|pair| !done.contains(pair)).collect();
     let tiles = tiles(pending.iter().copied());
     let mut report = report_so_far(database)?;
-    let match_pair = |pair: ImagePair, loaded: &BTreeMap<ImageId, LoadedFeatures>| {
-        match_pair(pair, loaded, &cameras, &images, options)
-    };
-    let first = first_pairs(database, &pending, options.seed, match_pair)?;
-    let expected_s = first.expected_s(&tiles);
+    let matching = Matching { cameras: &cameras, images: &images, options };
+    let first = matching.first_pairs(database, &pending)?;
+    let expected_s = first.expected_s(&tiles, options.matcher.pairs_per_batch());
     emit(watch, &Event::PairsChosen { selection: &selection, pairs: pending.len(), expected_s })?;
     let (total, done) = (all.len(), all.len() - pending.len());
     emit(watch, &Event::StageBegan { stage: Stage::Match, total, done })?;
 
-    let mut loaded: BTreeMap<ImageId, LoadedFeatures> = BTreeMap::new();
+    let mut loaded = LoadedImages::new(&*options.matcher);
     for pairs in &tiles {
-        load(database, pairs, &mut loaded)?;
-        let work = |pair: &ImagePair| match first.found.get(pair) {
-            Some(found) => found.clone(),
-            None => match_pair(*pair, &loaded),
-        };
-        let mut batch = Vec::new();
-        let taken = for_each_in_order(pairs, work, |pair, (matches, two_view)| {
-            let (image1, image2) = (&images[pair.a.index()].name, &images[pair.b.index()].name);
-            let inliers = two_view.matches.len();
-            let event = Event::PairDone { image1, image2, matches: matches.len(), inliers };
-            count(&mut report, matches.len(), two_view.is_verified().then_some(inliers));
-            batch.push((*pair, matches, two_view));
-            if batch.len() >= PAIRS_PER_TRANSACTION {
-                write(database, &mut batch)?;
+        loaded.load(database, pairs)?;
+        let batches = matching.batches(pairs);
+        let work = |pairs: &&[ImagePair]| matching.results(pairs, &first.found, &loaded);
+        let mut pending = Vec::new();
+        let take = |pairs: &&[ImagePair], found: Result<Vec<Found>, Error>| {
+            for (pair, (matches, two_view)) in pairs.iter().zip(found?) {
+                let (image1, image2) = (&images[pair.a.index()].name, &images[pair.b.index()].name);
+                let inliers = two_view.matches.len();
+                let event = Event::PairDone { image1, image2, matches: matches.len(), inliers };
+                count(&mut report, matches.len(), two_view.is_verified().then_some(inliers));
+                pending.push((*pair, matches, two_view));
+                if pending.len() >= PAIRS_PER_TRANSACTION {
+                    write(database, &mut pending)?;
+                }
+                emit(watch, &event)?;
             }
-            emit(watch, &event)
-        });
+            Ok(())
+        };
+        let taken: Result<(), Error> = for_each_in_order(&batches, work, take);
         // Completed pairs are kept when the callback stops the run.
-        write(database, &mut batch)?;
+        write(database, &mut pending)?;
         taken?;
     }
     report.selection = selection;
@@ -198,36 +213,115 @@ struct FirstPairs {
     load_s: f64,
 }
 
-/// Matches a random sample of the pairs. The results are the same as if the pairs were matched in
-/// their turn.
-fn first_pairs(
-    database: &Database,
-    pending: &[ImagePair],
-    seed: u64,
-    match_pair: impl Fn(ImagePair, &BTreeMap<ImageId, LoadedFeatures>) -> Found + Sync,
-) -> Result<FirstPairs, Error> {
-    let mut random = Rng::stream(seed, &[]);
-    let count = pending.len().div_ceil(PAIRS_PER_TIMED_PAIR).min(MAX_TIMED_PAIRS);
-    let sample: BTreeSet<ImagePair> =
-        (0..count).map(|_| pending[random.below(pending.len())]).collect();
-    let sample: Vec<ImagePair> = sample.into_iter().collect();
-    let mut loaded = BTreeMap::new();
-    let start = Instant::now();
-    load(database, &sample, &mut loaded)?;
-    let load_s = start.elapsed().as_secs_f64() / loaded.len().max(1) as f64;
-    let timed = |&pair: &ImagePair| {
+/// What the pairs of a run have in common.
+struct Matching<'a> {
+    cameras: &'a [Camera],
+    images: &'a [Image],
+    options: &'a MatchOptions,
+}
+
+impl Matching<'_> {
+    /// The batches that the matcher takes.
+    fn batches<'p>(&self, pairs: &'p [ImagePair]) -> Vec<&'p [ImagePair]> {
+        pairs.chunks(self.options.matcher.pairs_per_batch().max(1)).collect()
+    }
+
+    /// Matches a random sample of the pairs. The results are the same as if the pairs were matched
+    /// in their turn.
+    fn first_pairs(&self, database: &Database, pending: &[ImagePair]) -> Result<FirstPairs, Error> {
+        let mut random = Rng::stream(self.options.seed, &[]);
+        let count = pending.len().div_ceil(PAIRS_PER_TIMED_PAIR).min(MAX_TIMED_PAIRS);
+        let sample: BTreeSet<ImagePair> =
+            (0..count).map(|_| pending[random.below(pending.len())]).collect();
+        let sample: Vec<ImagePair> = sample.into_iter().collect();
+        let mut loaded = LoadedImages::new(&*self.options.matcher);
         let start = Instant::now();
-        let found = match_pair(pair, &loaded);
-        ((pair, found), start.elapsed().as_secs_f64())
-    };
-    let timed: Vec<((ImagePair, Found), f64)> = sample.par_iter().map(timed).collect();
-    let pair_s = timed.iter().map(|(_, seconds)| seconds).sum::<f64>() / timed.len().max(1) as f64;
-    Ok(FirstPairs { found: timed.into_iter().map(|(found, _)| found).collect(), pair_s, load_s })
+        loaded.load(database, &sample)?;
+        let load_s = start.elapsed().as_secs_f64() / loaded.keypoints.len().max(1) as f64;
+        let timed = |pairs: &&[ImagePair]| {
+            let start = Instant::now();
+            let found = self.match_batch(pairs, &loaded)?;
+            Ok((pairs.iter().copied().zip(found).collect(), start.elapsed().as_secs_f64()))
+        };
+        let timed: Vec<(Vec<(ImagePair, Found)>, f64)> =
+            self.batches(&sample).par_iter().map(timed).collect::<Result<_, Error>>()?;
+        let pair_s =
+            timed.iter().map(|(_, seconds)| seconds).sum::<f64>() / sample.len().max(1) as f64;
+        let found = timed.into_iter().flat_map(|(found, _)| found).collect();
+        Ok(FirstPairs { found, pair_s, load_s })
+    }
+
+    /// The results of a batch, of which `known` are there.
+    fn results(
+        &self,
+        pairs: &[ImagePair],
+        known: &BTreeMap<ImagePair, Found>,
+        loaded: &LoadedImages,
+    ) -> Result<Vec<Found>, Error> {
+        let new: Vec<ImagePair> =
+            pairs.iter().copied().filter(|pair| !known.contains_key(pair)).collect();
+        let mut found = self.match_batch(&new, loaded)?.into_iter();
+        Ok(pairs
+            .iter()
+            .filter_map(|pair| known.get(pair).cloned().or_else(|| found.next()))
+            .collect())
+    }
+
+    /// Matches the descriptors of pairs and estimates their two-view geometries. The random seed
+    /// depends only on `options.seed` and the pair.
+    fn match_batch(&self, pairs: &[ImagePair], loaded: &LoadedImages) -> Result<Vec<Found>, Error> {
+        let count = |image: ImageId| loaded.keypoints[&image].len();
+        let matched = verification::match_pairs(&*loaded.images, pairs, count)?;
+        let view = |image: ImageId| ImageObservations {
+            keypoints: &loaded.keypoints[&image],
+            camera: &self.cameras[self.images[image.index()].camera.index()],
+        };
+        let MatchOptions { verify: options, seed, .. } = self.options;
+        let found = |(pair, matches): (&ImagePair, Vec<Match>)| {
+            let two_view = verify(*pair, view, &matches, options, *seed);
+            (matches, two_view)
+        };
+        Ok(pairs.par_iter().zip(matched).map(found).collect())
+    }
+}
+
+/// Images in memory.
+struct LoadedImages {
+    /// Their descriptors, as the matcher needs them.
+    images: Box<dyn PreparedImages>,
+    keypoints: BTreeMap<ImageId, Vec<Keypoint>>,
+}
+
+impl LoadedImages {
+    fn new(matcher: &dyn Matcher) -> Self {
+        Self { images: matcher.images(), keypoints: BTreeMap::new() }
+    }
+
+    /// Loads the features of the images of these pairs, and drops all others.
+    fn load(&mut self, database: &Database, pairs: &[ImagePair]) -> Result<(), Error> {
+        let needed: BTreeSet<ImageId> = pairs.iter().flat_map(|pair| [pair.a, pair.b]).collect();
+        self.images.retain(&|image| needed.contains(&ImageId(image)));
+        self.keypoints.retain(|image, _| needed.contains(image));
+        let missing: Vec<ImageId> =
+            needed.into_iter().filter(|image| !self.keypoints.contains_key(image)).collect();
+        // In batches, so that few images are in memory twice.
+        for batch in missing.chunks(IMAGES_READ_AT_ONCE) {
+            let read = batch.iter().map(|&image| Ok((image, database.read_features(image)?)));
+            let features = read.collect::<Result<Vec<_>, Error>>()?;
+            let numbered: Vec<(u32, &Features)> =
+                features.iter().map(|(image, features)| (image.0, features)).collect();
+            self.images.insert(&numbered).map_err(Error::Method)?;
+            self.keypoints.extend(features.into_iter().map(|(image, features)| {
+                (image, features.keypoints.iter().map(keypoint).collect())
+            }));
+        }
+        Ok(())
+    }
 }
 
 impl FirstPairs {
-    /// The expected time of tiles of pairs, in seconds.
-    fn expected_s(&self, tiles: &[Vec<ImagePair>]) -> f64 {
+    /// The expected time of tiles of pairs, in seconds, with as many pairs in a batch.
+    fn expected_s(&self, tiles: &[Vec<ImagePair>], pairs_per_batch: usize) -> f64 {
         let mut loads = 0;
         let mut loaded = BTreeSet::new();
         for pairs in tiles {
@@ -237,7 +331,8 @@ impl FirstPairs {
             loaded = needed;
         }
         let pairs = tiles.iter().map(Vec::len).sum::<usize>();
-        let threads = rayon::current_num_threads();
+        // Batches are matched by a thread each, or one after the other if they are larger.
+        let threads = (rayon::current_num_threads() / pairs_per_batch.max(1)).max(1);
         self.pair_s * pairs as f64 / threads as f64 + self.load_s * loads as f64
     }
 }
@@ -249,45 +344,6 @@ fn tiles(pairs: impl Iterator<Item = ImagePair>) -> Vec<Vec<ImagePair>> {
         tiles.entry((pair.a.0 / TILE, pair.b.0 / TILE)).or_default().push(pair);
     }
     tiles.into_values().collect()
-}
-
-/// Loads the features of the images of these pairs, and drops all others.
-fn load(
-    database: &Database,
-    pairs: &[ImagePair],
-    loaded: &mut BTreeMap<ImageId, LoadedFeatures>,
-) -> Result<(), Error> {
-    let needed: BTreeSet<ImageId> = pairs.iter().flat_map(|pair| [pair.a, pair.b]).collect();
-    loaded.retain(|image, _| needed.contains(image));
-    let missing: Vec<ImageId> =
-        needed.into_iter().filter(|image| !loaded.contains_key(image)).collect();
-    let prepare = |(image, features): (ImageId, Features)| (image, LoadedFeatures::new(&features));
-    // In batches, so that few images are in memory twice.
-    for batch in missing.chunks(IMAGES_READ_AT_ONCE) {
-        let read = batch.iter().map(|&image| Ok((image, database.read_features(image)?)));
-        let features = read.collect::<Result<Vec<_>, Error>>()?;
-        loaded.extend(features.into_par_iter().map(prepare).collect::<Vec<_>>());
-    }
-    Ok(())
-}
-
-/// Matches the descriptors of a pair and estimates its two-view geometry. The random seed depends
-/// only on `options.seed` and the pair.
-fn match_pair(
-    pair: ImagePair,
-    loaded: &BTreeMap<ImageId, LoadedFeatures>,
-    cameras: &[Camera],
-    images: &[Image],
-    options: &MatchOptions,
-) -> (Vec<Match>, TwoView) {
-    let (a, b) = (&loaded[&pair.a], &loaded[&pair.b]);
-    let matches = a.matches(b, &options.descriptors);
-    let view = |image: ImageId| ImageObservations {
-        keypoints: &loaded[&image].keypoints,
-        camera: &cameras[images[image.index()].camera.index()],
-    };
-    let two_view = verify(pair, view, &matches, &options.verify, options.seed);
-    (matches, two_view)
 }
 
 /// Writes the pairs of a batch in one transaction, and empties it.

@@ -2,11 +2,10 @@
 
 pub(crate) mod colors;
 pub(crate) mod dense;
-pub(crate) mod extractors;
+pub(crate) mod extraction;
 pub(crate) mod features;
 pub(crate) mod foreign_database;
 pub(crate) mod input_model;
-pub(crate) mod loaded_features;
 pub(crate) mod mapping;
 pub(crate) mod matching;
 pub(crate) mod option_keys;
@@ -23,7 +22,7 @@ pub(crate) mod warnings;
 pub use colors::color_points;
 pub use dense::dense;
 pub use dense::options::DenseOptions;
-pub use extractors::{Extractors, memory_of};
+pub use extraction::{extract_image, extract_photo, memory_of};
 pub use features::{FeatureOptions, extract_features};
 pub use foreign_database::{ImportedPairs, import_features};
 pub use input_model::InputModel;

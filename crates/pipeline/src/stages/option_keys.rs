@@ -10,13 +10,9 @@
 //! a value other than `none`.
 
 use tiepoint_input::cameras::{Calibration, CameraGrouping};
-use tiepoint_io::features::{
-    DomainSizes, Limit, Normalization, Options as DetectorOptions, Orientation,
-};
+use tiepoint_io::features::Extractor;
 use tiepoint_sfm::geometry::{Intrinsics, Loss};
-use tiepoint_sfm::matching::{
-    Checks, Method, Options as DescriptorOptions, PairSelection, PreemptiveMatching,
-};
+use tiepoint_sfm::matching::Matcher;
 use tiepoint_sfm::{
     FilterOptions, MapperOptions, Readout, RefineIntrinsics, RegisterOptions, TrackOptions,
     VerifyOptions,
@@ -24,19 +20,16 @@ use tiepoint_sfm::{
 
 use crate::stages::dense::options::DenseOptions;
 use crate::workspace::option_names::{
-    CALIBRATION_KEY, CAMERAS_KEY, DATABASE, FOCAL_PRIOR, FOUND_PAIRS, INTRINSICS, MAX_PIXELS_KEY,
-    NONE, PAIRS, PAIRS_OF_DATABASE, REFINE_EXTRINSICS_KEY, REFINE_KNOWN_KEY, RIG_CALIBRATION_KEY,
+    CALIBRATION_KEY, CAMERAS_KEY, DATABASE, EXTRACTOR, FOCAL_PRIOR, FOUND_PAIRS, INTRINSICS,
+    MATCHER, MAX_PIXELS_KEY, NONE, PAIRS, REFINE_EXTRINSICS_KEY, REFINE_KNOWN_KEY,
+    RIG_CALIBRATION_KEY,
 };
 
 /// Keys with their values.
 type Texts = Vec<(&'static str, String)>;
 
 /// Options of the feature stage. `timestamps`: hash of the file of capture times.
-pub(crate) fn feature_options(
-    calibration: &Calibration,
-    detector: &DetectorOptions,
-    timestamps: Option<String>,
-) -> Texts {
+pub(crate) fn feature_options(calibration: &Calibration, timestamps: Option<String>) -> Texts {
     let (model, focal_px, intrinsics) = match calibration {
         Calibration::Unknown { model, focal_px } => (model.name(), *focal_px, None),
         Calibration::Known(intrinsics) => (intrinsics.kind().name(), None, Some(intrinsics)),
@@ -45,56 +38,32 @@ pub(crate) fn feature_options(
         let params: Vec<String> = intrinsics.params().iter().map(f64::to_string).collect();
         params.join(",")
     };
-    let DetectorOptions {
-        first_octave,
-        octaves,
-        levels,
-        peak_threshold,
-        edge_threshold,
-        max_features,
-        limit,
-        max_orientations,
-        orientation,
-        normalization,
-        domain_sizes,
-    } = detector;
-    let limit = match limit {
-        Limit::WholeLevels => "whole_levels",
-        Limit::Exact => "exact",
-    };
-    let orientation = match orientation {
-        Orientation::Dominant => "dominant",
-        Orientation::Upright => "upright",
-    };
-    let normalization = match normalization {
-        Normalization::RootL1 => "root_l1",
-        Normalization::L2 => "l2",
-    };
-    let mut texts = vec![
+    vec![
         ("features.camera_model", model.to_owned()),
         (FOCAL_PRIOR, or_none(focal_px)),
         (INTRINSICS, or_none(intrinsics.map(numbers))),
         ("features.timestamps", or_none(timestamps)),
-        ("features.detector.first_octave", first_octave.to_string()),
-        ("features.detector.octaves", octaves.to_string()),
-        ("features.detector.levels", levels.to_string()),
-        ("features.detector.peak_threshold", peak_threshold.to_string()),
-        ("features.detector.edge_threshold", edge_threshold.to_string()),
-        ("features.detector.max_features", max_features.to_string()),
-        ("features.detector.limit", limit.to_owned()),
-        ("features.detector.max_orientations", max_orientations.to_string()),
-        ("features.detector.orientation", orientation.to_owned()),
-        ("features.detector.normalization", normalization.to_owned()),
-    ];
-    match domain_sizes {
-        None => texts.push(("features.detector.domain_sizes", NONE.to_owned())),
-        Some(DomainSizes { min, max, count }) => texts.extend([
-            ("features.detector.domain_sizes.min", min.to_string()),
-            ("features.detector.domain_sizes.max", max.to_string()),
-            ("features.detector.domain_sizes.count", count.to_string()),
-        ]),
-    }
-    texts
+    ]
+}
+
+/// Name and options of an extractor.
+pub(crate) fn extractor_options(
+    extractor: &dyn Extractor,
+) -> impl Iterator<Item = (String, String)> {
+    method_options(EXTRACTOR, extractor.name(), "features.detector", extractor.options())
+}
+
+/// Name and options of a method. The name of the built-in one is left out.
+fn method_options(
+    (key, built_in): (&str, &str),
+    name: &str,
+    prefix: &'static str,
+    options: Texts,
+) -> impl Iterator<Item = (String, String)> {
+    let name = if name == built_in { NONE } else { name };
+    let options = options.into_iter();
+    std::iter::once((key.to_owned(), name.to_owned()))
+        .chain(options.map(move |(key, value)| (format!("{prefix}.{key}"), value)))
 }
 
 /// The limit on pixels, an option of the feature stage.
@@ -122,36 +91,17 @@ pub(crate) fn rig_calibration_options(hash: Option<String>, is_refined: bool) ->
     vec![(RIG_CALIBRATION_KEY, or_none(hash)), (REFINE_EXTRINSICS_KEY, is_refined.to_string())]
 }
 
-/// Options of the match stage.
-pub(crate) fn matching_options(
-    pairs: &PairSelection,
-    descriptors: &DescriptorOptions,
-    verify: &VerifyOptions,
-    seed: u64,
-) -> Texts {
-    let DescriptorOptions { max_ratio, max_angle_rad, mutual, method, preempt } = descriptors;
-    let method = match method {
-        Method::BruteForce => "brute_force".to_owned(),
-        Method::Forest(checks) => format!("forest:{}", checks_text(checks)),
-        Method::Cheapest(checks) => format!("cheapest:{}", checks_text(checks)),
-    };
-    let mut texts = vec![
-        // In the format of the command line.
-        (PAIRS, pairs.to_string()),
-        ("match.seed", seed.to_string()),
-        ("match.descriptors.max_ratio", or_none(*max_ratio)),
-        ("match.descriptors.max_angle_rad", or_none(*max_angle_rad)),
-        ("match.descriptors.mutual", mutual.to_string()),
-        ("match.descriptors.method", method),
-    ];
+/// Options of the match stage. `pairs`: in the format of the command line, or
+/// [`PAIRS_OF_DATABASE`](crate::workspace::option_names::PAIRS_OF_DATABASE).
+pub(crate) fn matching_options(pairs: String, verify: &VerifyOptions, seed: u64) -> Texts {
+    let mut texts = vec![(PAIRS, pairs), ("match.seed", seed.to_string())];
     texts.extend(verification_options(verify));
-    texts.push(match preempt {
-        None => ("match.descriptors.preempt", NONE.to_owned()),
-        Some(PreemptiveMatching { min_matches }) => {
-            ("match.descriptors.preempt.min_matches", min_matches.to_string())
-        }
-    });
     texts
+}
+
+/// Name and options of a matcher.
+pub(crate) fn matcher_options(matcher: &dyn Matcher) -> impl Iterator<Item = (String, String)> {
+    method_options(MATCHER, matcher.name(), "match.descriptors", matcher.options())
 }
 
 /// Options of the map stage.
@@ -214,13 +164,6 @@ pub(crate) fn database_options(hash: &str, has_pairs: bool) -> Texts {
     vec![(DATABASE, hash.to_owned()), (FOUND_PAIRS, or_none(has_pairs.then_some(true)))]
 }
 
-/// Options of the match stage with the pairs of another program.
-pub(crate) fn imported_pairs_options(verify: &VerifyOptions, seed: u64) -> Texts {
-    let mut texts = vec![(PAIRS, PAIRS_OF_DATABASE.to_owned()), ("match.seed", seed.to_string())];
-    texts.extend(verification_options(verify));
-    texts
-}
-
 /// Options of geometric verification.
 fn verification_options(verify: &VerifyOptions) -> Texts {
     let VerifyOptions { max_error_px, min_num_inliers, min_e_f_inlier_ratio, max_h_inlier_ratio } =
@@ -258,13 +201,6 @@ fn or_none(value: Option<impl ToString>) -> String {
     value.map_or_else(|| NONE.to_owned(), |value| value.to_string())
 }
 
-fn checks_text(checks: &Checks) -> String {
-    match checks {
-        Checks::Total(checks) => format!("total:{checks}"),
-        Checks::PerTree(checks) => format!("per_tree:{checks}"),
-    }
-}
-
 fn loss_text(loss: &Loss) -> String {
     match loss {
         Loss::Trivial => "trivial".to_owned(),
@@ -280,25 +216,43 @@ fn loss_text(loss: &Loss) -> String {
 #[cfg(test)]
 mod tests {
     use tiepoint_input::DEFAULT_MAX_PIXELS;
+    use tiepoint_io::features::{
+        DomainSizes, Limit, Normalization, Options as SiftOptions, Orientation, SiftExtractor,
+    };
     use tiepoint_sfm::RigMode;
     use tiepoint_sfm::geometry::CameraModelKind;
+    use tiepoint_sfm::matching::forest::Checks;
+    use tiepoint_sfm::matching::{
+        Method, NearestNeighbours, Options as MatcherOptions, PairSelection, PreemptiveMatching,
+    };
 
     use super::*;
 
-    fn lines(texts: Texts) -> Vec<String> {
+    fn lines<K: std::fmt::Display>(texts: impl IntoIterator<Item = (K, String)>) -> Vec<String> {
         texts.into_iter().map(|(key, value)| format!("{key} = {value}")).collect()
+    }
+
+    fn sift_lines(options: SiftOptions) -> Vec<String> {
+        lines(extractor_options(&SiftExtractor::new(options).unwrap()))
+    }
+
+    fn matcher_lines(options: MatcherOptions) -> Vec<String> {
+        lines(matcher_options(&NearestNeighbours::new(options).unwrap()))
     }
 
     /// Existing workspaces have these texts. Changing a line invalidates all of them.
     #[test]
     fn keys_and_default_values_are_fixed() {
-        let found =
-            lines(feature_options(&Calibration::default(), &DetectorOptions::default(), None));
+        let found = lines(feature_options(&Calibration::default(), None));
         let expected = [
             "features.camera_model = SIMPLE_RADIAL",
             "features.focal_prior = none",
             "features.intrinsics = none",
             "features.timestamps = none",
+        ];
+        assert_eq!(found, expected);
+        let expected = [
+            "features.detector = none",
             "features.detector.first_octave = -1",
             "features.detector.octaves = 4",
             "features.detector.levels = 3",
@@ -309,27 +263,26 @@ mod tests {
             "features.detector.max_orientations = 2",
             "features.detector.orientation = dominant",
             "features.detector.normalization = root_l1",
-            "features.detector.domain_sizes = none",
         ];
-        assert_eq!(found, expected);
-        let (descriptors, verify) = (DescriptorOptions::default(), VerifyOptions::default());
+        assert_eq!(sift_lines(SiftOptions::default()), expected);
         let expected = [
             "match.pairs = exhaustive",
             "match.seed = 0",
-            "match.descriptors.max_ratio = 0.8",
-            "match.descriptors.max_angle_rad = 0.7",
-            "match.descriptors.mutual = true",
-            "match.descriptors.method = brute_force",
             "match.verify.max_error_px = 4",
             "match.verify.min_num_inliers = 15",
             "match.verify.min_e_f_inlier_ratio = 0.95",
             "match.verify.max_h_inlier_ratio = 0.8",
-            "match.descriptors.preempt = none",
         ];
-        assert_eq!(
-            lines(matching_options(&PairSelection::Exhaustive, &descriptors, &verify, 0)),
-            expected
-        );
+        let pairs = PairSelection::Exhaustive.to_string();
+        assert_eq!(lines(matching_options(pairs, &VerifyOptions::default(), 0)), expected);
+        let expected = [
+            "match.matcher = none",
+            "match.descriptors.mutual = true",
+            "match.descriptors.method = brute_force",
+            "match.descriptors.max_ratio = 0.8",
+            "match.descriptors.max_angle_rad = 0.7",
+        ];
+        assert_eq!(matcher_lines(MatcherOptions::default()), expected);
         let expected = [
             "mapper.baseline = none",
             "mapper.rig = off",
@@ -371,19 +324,17 @@ mod tests {
     fn texts_of_other_values_are_fixed() {
         let intrinsics =
             Intrinsics::new(CameraModelKind::Pinhole, &[500.25, 501.0, 1e-7, 240.0]).unwrap();
-        let detector = DetectorOptions {
+        let sift = SiftOptions {
             peak_threshold: 1e-6,
             limit: Limit::Exact,
             orientation: Orientation::Upright,
             normalization: Normalization::L2,
             domain_sizes: Some(DomainSizes::default()),
-            ..DetectorOptions::default()
+            ..SiftOptions::default()
         };
-        let found = lines(feature_options(
-            &Calibration::Known(intrinsics),
-            &detector,
-            Some("0a1b".to_owned()),
-        ));
+        let known = Calibration::Known(intrinsics);
+        let mut found = lines(feature_options(&known, Some("0a1b".to_owned())));
+        found.extend(sift_lines(sift));
         for expected in [
             "features.camera_model = PINHOLE",
             "features.focal_prior = none",
@@ -401,35 +352,30 @@ mod tests {
         }
         let unknown =
             Calibration::Unknown { model: CameraModelKind::Opencv, focal_px: Some(1200.5) };
-        let found = lines(feature_options(&unknown, &detector, None));
+        let found = lines(feature_options(&unknown, None));
         assert_eq!(found[..2], ["features.camera_model = OPENCV", "features.focal_prior = 1200.5"]);
 
         let pairs = PairSelection::Sequential { overlap: 10, is_closed: true, loops: 5 };
-        let descriptors = |method| DescriptorOptions {
-            max_ratio: None,
-            method,
-            preempt: Some(PreemptiveMatching { min_matches: 2 }),
-            ..DescriptorOptions::default()
-        };
+        let found = lines(matching_options(pairs.to_string(), &VerifyOptions::default(), u64::MAX));
+        for expected in
+            ["match.pairs = sequential:10+ends+loops:5", "match.seed = 18446744073709551615"]
+        {
+            assert!(found.iter().any(|line| line == expected), "{expected}: {found:?}");
+        }
         for (method, text) in [
             (Method::Forest(Checks::Total(64)), "forest:total:64"),
             (Method::Cheapest(Checks::PerTree(8)), "cheapest:per_tree:8"),
         ] {
-            let found = lines(matching_options(
-                &pairs,
-                &descriptors(method),
-                &VerifyOptions::default(),
-                u64::MAX,
-            ));
-            for expected in [
-                "match.pairs = sequential:10+ends+loops:5",
-                "match.seed = 18446744073709551615",
-                "match.descriptors.max_ratio = none",
+            let preempt = Some(PreemptiveMatching { min_matches: 2 });
+            let options = MatcherOptions { max_ratio: None, method, preempt, ..Default::default() };
+            let expected = [
+                "match.matcher = none",
+                "match.descriptors.mutual = true",
                 &format!("match.descriptors.method = {text}"),
+                "match.descriptors.max_angle_rad = 0.7",
                 "match.descriptors.preempt.min_matches = 2",
-            ] {
-                assert!(found.iter().any(|line| line == expected), "{expected}: {found:?}");
-            }
+            ];
+            assert_eq!(matcher_lines(options), expected);
         }
 
         for (mapper, baseline_m, expected) in [
@@ -478,15 +424,13 @@ mod tests {
 
     #[test]
     fn keys_are_unique_and_include_all_of_the_command_line() {
-        let (detector, mapper) = (DetectorOptions::default(), MapperOptions::default());
-        let mut keys: Vec<&str> = feature_options(&Calibration::default(), &detector, None)
+        let mapper = MapperOptions::default();
+        let methods = extractor_options(&SiftExtractor::default())
+            .chain(matcher_options(&NearestNeighbours::default()))
+            .collect::<Vec<_>>();
+        let mut keys: Vec<&str> = feature_options(&Calibration::default(), None)
             .into_iter()
-            .chain(matching_options(
-                &PairSelection::Exhaustive,
-                &Default::default(),
-                &Default::default(),
-                0,
-            ))
+            .chain(matching_options(String::new(), &Default::default(), 0))
             .chain([pixel_limit_option(DEFAULT_MAX_PIXELS), cameras_option(CameraGrouping::Auto)])
             .chain([calibration_files_option(&[]), known_intrinsics_option(false)])
             .chain(rig_calibration_options(None, false))
@@ -495,6 +439,7 @@ mod tests {
             .chain(database_options("", false))
             .chain(dense_options(&DenseOptions::default()))
             .map(|(key, _)| key)
+            .chain(methods.iter().map(|(key, _)| key.as_str()))
             .collect();
         let count = keys.len();
         keys.sort_unstable();

@@ -5,12 +5,13 @@ use std::collections::BTreeMap;
 use rayon::prelude::*;
 use tiepoint_input::sequences::camera_images;
 use tiepoint_io::database::Database;
-use tiepoint_io::features::Descriptor;
+use tiepoint_io::features::{DescriptorFormat, Features, SiftDescriptor};
 use tiepoint_io::timestamps;
-use tiepoint_sfm::matching::{
-    AutoPairs, GlobalDescriptor, ImageWords, InvertedIndex, PairSelection, RetrievalIndex,
-    Sequence, Similar, Vocabulary, VocabularyOptions, VocabularyTree, auto_pairs, num_similar,
+use tiepoint_sfm::matching::retrieval::{
+    GlobalDescriptor, ImageWords, InvertedIndex, RetrievalIndex, Similar, Vocabulary,
+    VocabularyOptions, VocabularyTree,
 };
+use tiepoint_sfm::matching::{AutoPairs, PairSelection, Sequence, auto_pairs, num_similar};
 use tiepoint_sfm::natural_order;
 use tiepoint_sfm::scene::{Image, ImageId, ImagePair};
 
@@ -44,7 +45,8 @@ pub struct PairChoice {
 ///
 /// # Errors
 ///
-/// The workspace has no features; its database or its times cannot be read.
+/// The workspace has no features; similar images are asked for, and the descriptors are not those
+/// of SIFT; its database or its times cannot be read.
 pub fn choose_pairs(
     workspace: &Workspace,
     selection: PairSelection,
@@ -75,6 +77,19 @@ pub(crate) fn resolved(
     }
 }
 
+/// [`resolved`] for the images of a database: without SIFT descriptors, `auto` is all pairs.
+pub(crate) fn resolved_in(
+    database: &Database,
+    selection: PairSelection,
+) -> Result<PairSelection, Error> {
+    Ok(match resolved(selection, database.num_images(), None) {
+        PairSelection::Auto if database.descriptor_format()? != DescriptorFormat::SIFT => {
+            PairSelection::Exhaustive
+        }
+        other => other,
+    })
+}
+
 /// [`choose_pairs`] with the open database of the workspace and its images.
 pub(crate) fn choose_pairs_of_images(
     workspace: &Workspace,
@@ -85,7 +100,7 @@ pub(crate) fn choose_pairs_of_images(
 ) -> Result<PairChoice, Error> {
     let times = workspace.verified_timestamps()?;
     let times = times.map_or(Ok(BTreeMap::new()), |path| timestamps::read(&path))?;
-    let selection = resolved(selection, images.len(), None);
+    let selection = resolved_in(database, selection)?;
     let (selection, pairs) = match selection {
         PairSelection::Auto => automatic(database, images, &times, seed)?,
         given => (given.to_string(), selected(database, images, &times, given, seed)?),
@@ -129,7 +144,7 @@ fn similar_images(
     let leading = counts.iter().flatten().map(|&count| count.min(Vocabulary::LEADING));
     let words = leading.sum::<usize>().div_ceil(DESCRIPTORS_PER_WORD);
     let of_image = (SAMPLE_PER_WORD * words).div_ceil(images.len().max(1));
-    let some = |descriptors: &[Descriptor]| -> Vec<Descriptor> {
+    let some = |descriptors: &[SiftDescriptor]| -> Vec<SiftDescriptor> {
         Vocabulary::sample(descriptors, of_image).copied().collect()
     };
     let mut sample = Vec::new();
@@ -137,7 +152,7 @@ fn similar_images(
     let vocabulary = VocabularyTree::learn(&sample, words, seed);
     drop(sample);
     let mut described: Vec<ImageWords> = Vec::with_capacity(images.len());
-    let describe = |descriptors: &[Descriptor]| vocabulary.describe(descriptors);
+    let describe = |descriptors: &[SiftDescriptor]| vocabulary.describe(descriptors);
     for_all_images(database, images, describe, |image| described.push(image))?;
     Ok(InvertedIndex::new(&vocabulary, &described).most_similar(count))
 }
@@ -192,12 +207,20 @@ pub fn all_ids(images: usize) -> Vec<ImageId> {
     (0..images).map(ImageId::from_index).collect()
 }
 
+/// The SIFT descriptors of an image, which retrieval is made for.
+fn sift_of<'a>(database: &Database, features: &'a Features) -> Result<&'a [SiftDescriptor], Error> {
+    features.descriptors.as_sift().ok_or_else(|| Error::NoRetrieval {
+        path: database.path().to_owned(),
+        format: features.descriptors.format(),
+    })
+}
+
 /// Learns a visual vocabulary from a sample of the images, and indexes the global descriptors of
 /// all.
 ///
 /// # Errors
 ///
-/// The database cannot be read.
+/// The descriptors are not those of SIFT; the database cannot be read.
 pub fn learn_retrieval(
     database: &Database,
     images: &[ImageId],
@@ -206,11 +229,12 @@ pub fn learn_retrieval(
     let mut sample = Vec::new();
     for image in images.iter().step_by(images.len().div_ceil(SAMPLE_IMAGES).max(1)) {
         let features = database.read_features(*image)?;
-        sample.extend(Vocabulary::sample(&features.descriptors, SAMPLE_DESCRIPTORS).copied());
+        let descriptors = sift_of(database, &features)?;
+        sample.extend(Vocabulary::sample(descriptors, SAMPLE_DESCRIPTORS).copied());
     }
     let vocabulary = Vocabulary::learn(&sample, &VocabularyOptions { seed, ..Default::default() });
     let mut index = RetrievalIndex::default();
-    let describe = |descriptors: &[Descriptor]| vocabulary.describe(descriptors);
+    let describe = |descriptors: &[SiftDescriptor]| vocabulary.describe(descriptors);
     for_all_images(database, images, describe, |image: GlobalDescriptor| index.push(&image))?;
     Ok((vocabulary, index))
 }
@@ -220,14 +244,15 @@ pub fn learn_retrieval(
 fn for_all_images<T: Send>(
     database: &Database,
     images: &[ImageId],
-    compute: impl Fn(&[Descriptor]) -> T + Sync,
+    compute: impl Fn(&[SiftDescriptor]) -> T + Sync,
     mut take: impl FnMut(T),
 ) -> Result<(), Error> {
     for batch in images.chunks(IMAGES_READ_AT_ONCE) {
         let features = batch.iter().map(|&image| database.read_features(image));
         let features = features.collect::<Result<Vec<_>, _>>()?;
-        let computed: Vec<T> =
-            features.par_iter().map(|features| compute(&features.descriptors)).collect();
+        let descriptors = features.iter().map(|features| sift_of(database, features));
+        let descriptors = descriptors.collect::<Result<Vec<_>, _>>()?;
+        let computed: Vec<T> = descriptors.into_par_iter().map(&compute).collect();
         computed.into_iter().for_each(&mut take);
     }
     Ok(())
@@ -235,7 +260,7 @@ fn for_all_images<T: Send>(
 
 #[cfg(test)]
 mod tests {
-    use tiepoint_io::features::{Features, Keypoint};
+    use tiepoint_io::features::Keypoint;
     use tiepoint_sfm::geometry::{CameraModelKind, Intrinsics, Rng};
     use tiepoint_sfm::scene::{Camera, CameraId};
 
@@ -258,7 +283,7 @@ mod tests {
         database.write_images(&names.iter().map(image).collect::<Vec<_>>()).unwrap();
         for k in 0..names.len() as u32 {
             let mut noise = Rng::stream(8, &[u64::from(k)]);
-            let mut seen = |feature: u32| -> Descriptor {
+            let mut seen = |feature: u32| -> SiftDescriptor {
                 let mut place = Rng::stream(7, &[descriptors(k, feature)]);
                 std::array::from_fn(|_| (place.below(80) + noise.below(8)) as u8)
             };

@@ -1,8 +1,38 @@
-//! Verification of a pair in the stages: the seed of a pair, and matches of keypoints that exist.
+//! Pairs in the stages: the result of a matcher, the seed of a pair, and matches of keypoints that
+//! exist.
 
 use tiepoint_sfm::geometry::Rng;
+use tiepoint_sfm::matching::{self, PreparedImages};
 use tiepoint_sfm::scene::{ImageId, ImagePair, Match, TwoView};
 use tiepoint_sfm::{ImageObservations, VerifyOptions, verify_pair};
+
+use crate::Error;
+
+/// The matches of each pair. `num_keypoints`: number of keypoints of an image.
+///
+/// # Errors
+///
+/// The matcher fails, does not give a list for each pair, or names a keypoint that does not exist.
+pub(crate) fn match_pairs(
+    images: &dyn PreparedImages,
+    pairs: &[ImagePair],
+    num_keypoints: impl Fn(ImageId) -> usize,
+) -> Result<Vec<Vec<Match>>, Error> {
+    let numbers: Vec<(u32, u32)> = pairs.iter().map(|pair| (pair.a.0, pair.b.0)).collect();
+    let found = images.match_pairs(&numbers).map_err(Error::Method)?;
+    if found.len() != pairs.len() {
+        return Err(Error::InvalidMatches { pairs: pairs.len(), lists: found.len() });
+    }
+    let of_pair = |(pair, found): (&ImagePair, Vec<matching::Match>)| {
+        let matches: Vec<Match> = found.iter().map(|m| Match { a: m.a, b: m.b }).collect();
+        let counts = [pair.a, pair.b].map(&num_keypoints);
+        match matches.iter().find(|m| m.a as usize >= counts[0] || m.b as usize >= counts[1]) {
+            None => Ok(matches),
+            Some(&Match { a, b }) => Err(Error::InvalidMatch { keypoints: [a, b], counts }),
+        }
+    };
+    pairs.iter().zip(found).map(of_pair).collect()
+}
 
 /// Verifies the matches of a pair. Each pair has a random stream of its own, so that the geometry
 /// does not depend on the order in which pairs are verified.

@@ -396,6 +396,8 @@ fn lock(root: &Path) -> Result<File, Error> {
 mod tests {
     use super::*;
 
+    const NO_OPTIONS: [(&str, String); 0] = [];
+
     #[test]
     fn workspace_is_locked() {
         let dir = tempfile::tempdir().unwrap();
@@ -412,7 +414,7 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let mut from = Workspace::create(&dir.path().join("a")).unwrap();
         from.folder.stage_bytes(TIMESTAMPS, b"image,seconds\n").unwrap();
-        let recipe = |input: &str| Recipe::new(input.to_owned(), []);
+        let recipe = |input: &str| Recipe::new(input.to_owned(), NO_OPTIONS);
         let mut input = "photos".to_owned();
         for stage in Stage::ALL {
             from.begin(stage, &recipe(&input), None).unwrap();
@@ -442,7 +444,7 @@ mod tests {
     fn complete_stage_whose_files_are_gone_continues() {
         let dir = tempfile::tempdir().unwrap();
         let mut workspace = Workspace::create(dir.path()).unwrap();
-        let recipe = |input: &str| Recipe::new(input.to_owned(), []);
+        let recipe = |input: &str| Recipe::new(input.to_owned(), NO_OPTIONS);
         for (stage, file) in
             [(Stage::Map, "sparse/0/points3D.bin"), (Stage::Dense, "dense/fused.ply")]
         {
@@ -466,7 +468,7 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let root = dir.path().join("ws");
         let mut made = Workspace::create(&root).unwrap();
-        made.begin(Stage::Features, &Recipe::new("photos".to_owned(), []), None).unwrap();
+        made.begin(Stage::Features, &Recipe::new("photos".to_owned(), NO_OPTIONS), None).unwrap();
         made.complete(Stage::Features);
         let rows = made.records.rows();
         let database =

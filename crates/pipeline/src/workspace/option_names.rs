@@ -2,6 +2,9 @@
 //! in backquotes; the program shows its flags and commands instead, and Python its keywords
 //! (`cli/src/hints.rs`).
 
+use tiepoint_io::features::SiftExtractor;
+use tiepoint_sfm::matching::NearestNeighbours;
+
 /// Value of an option that is not given.
 pub(crate) const NONE: &str = "none";
 
@@ -22,6 +25,11 @@ pub(crate) const REFINE_KNOWN_KEY: &str = "mapper.refine.known";
 pub(crate) const DATABASE: &str = "features.database";
 /// Key that tells whether this database has pairs. It follows from the database.
 pub(crate) const FOUND_PAIRS: &str = "found.pairs";
+/// Keys of the names of extractor and matcher, which are left out for the built-in ones; and the
+/// built-in ones.
+pub(crate) const EXTRACTOR: (&str, &str) = ("features.detector", SiftExtractor::NAME);
+pub(crate) const MATCHER: (&str, &str) = ("match.matcher", NearestNeighbours::NAME);
+
 /// Key of the pairs to match, and its value for those of a database of another program.
 pub(crate) const PAIRS: &str = "match.pairs";
 pub(crate) const PAIRS_OF_DATABASE: &str = "database";
@@ -44,5 +52,10 @@ pub(crate) fn difference(key: &str, was: &str, is: &str) -> String {
         let [was, is] = [was, is].map(|value| if value == "true" { "refined" } else { "fixed" });
         return format!("{parameter} {was} and not {is} (`mapper.refine`)");
     }
+    let built_in = [EXTRACTOR, MATCHER].into_iter().find(|(own, _)| *own == key);
+    let [was, is] = [was, is].map(|value| match built_in {
+        Some((_, name)) if value == NONE => name,
+        _ => value,
+    });
     format!("`{key}` {was} and not {is}")
 }

@@ -43,10 +43,10 @@ pub(crate) struct Recipe {
 impl Recipe {
     pub(crate) fn new(
         input: String,
-        options: impl IntoIterator<Item = (&'static str, String)>,
+        options: impl IntoIterator<Item = (impl Into<String>, String)>,
     ) -> Self {
         let given = options.into_iter().filter(|(_, value)| value != NONE);
-        Self { input, options: given.map(|(key, value)| (key.to_owned(), value)).collect() }
+        Self { input, options: given.map(|(key, value)| (key.into(), value)).collect() }
     }
 
     /// Fingerprint of the stage, which is the input of the next one.

@@ -159,7 +159,8 @@ mod tests {
         for constant_poses in [true, false] {
             let existing = Existing { model: &start, constant_poses };
             let watch = &mut |_: &_| ControlFlow::Continue(());
-            let found = extend(&graph, &existing, &mut |_| Vec::new(), &options, watch).unwrap();
+            let found =
+                extend(&graph, &existing, &mut |_| Default::default(), &options, watch).unwrap();
             let found = &found[0].reconstruction;
             assert_eq!(found.num_registered(), truth.num_registered());
             for (id, _, pose) in truth.registered() {
@@ -178,13 +179,14 @@ mod tests {
         }
         let existing = Existing { model: &truth_without_points, constant_poses: true };
         let watch = &mut |_: &_| ControlFlow::Continue(());
-        let found = extend(&graph, &existing, &mut |_| Vec::new(), &options, watch).unwrap();
+        let found =
+            extend(&graph, &existing, &mut |_| Default::default(), &options, watch).unwrap();
         assert!(found[0].reconstruction.num_tracks() > 100);
         let nothing = CorrespondenceGraph::new(
             &start.images().map(|(_, image)| image.keypoints.len()).collect::<Vec<_>>(),
             [],
         );
-        let found = extend(&nothing, &existing, &mut |_| Vec::new(), &options, watch);
+        let found = extend(&nothing, &existing, &mut |_| Default::default(), &options, watch);
         assert!(matches!(found, Err(Error::NothingToExtend { .. })));
     }
 }

@@ -10,7 +10,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use rayon::prelude::*;
 use tiepoint_geometry::nalgebra::{Matrix3, Vector3};
 use tiepoint_geometry::{Rng, epipolar};
-use tiepoint_matching::features::{Descriptor, Features, Keypoint};
+use tiepoint_matching::features::{self, Features, Keypoint};
 use tiepoint_matching::{EpipolarGuide, Options, match_guided};
 use tiepoint_scene::{
     Camera, CorrespondenceGraph, ImageId, ImagePair, Match, Reconstruction, TwoView,
@@ -20,7 +20,7 @@ use super::extrinsics::SplitImage;
 use crate::two_view::{ImageObservations, VerifyOptions, verify_pair};
 
 /// Returns the descriptors of an image in the order of its keypoints; empty if there are none.
-pub type Descriptors<'a> = dyn FnMut(ImageId) -> Vec<Descriptor> + 'a;
+pub type Descriptors<'a> = dyn FnMut(ImageId) -> features::Descriptors + 'a;
 
 /// Maximum distance from the epipolar line, in pixels. The value is large because the poses come
 /// from the rig constraint and not from these images.
@@ -79,7 +79,7 @@ pub(super) fn rematch(
 fn undistorted_features(
     model: &Reconstruction,
     image: ImageId,
-    descriptors: Vec<Descriptor>,
+    descriptors: features::Descriptors,
 ) -> Features {
     let (intrinsics, keypoints) =
         (&model.camera_of(image).intrinsics, &model.image(image).keypoints);
@@ -179,7 +179,7 @@ mod tests {
         (model, CorrespondenceGraph::new(&[POINTS; 3], [(pair, two_view)]))
     }
 
-    fn descriptor(k: usize) -> Descriptor {
+    fn descriptor(k: usize) -> features::SiftDescriptor {
         let mut rng = Rng::stream(2, &[(k % (POINTS - NUM_REPEATED)) as u64]);
         std::array::from_fn(|_| rng.below(90) as u8)
     }
@@ -212,6 +212,6 @@ mod tests {
         let (model, graph) = scene();
         let split_images =
             BTreeSet::from([SplitImage { image: ImageId(2), reference: ImageId(0) }]);
-        assert_eq!(rematch(&graph, &model, &split_images, &mut |_| Vec::new(), 0), []);
+        assert_eq!(rematch(&graph, &model, &split_images, &mut |_| Default::default(), 0), []);
     }
 }

@@ -82,7 +82,7 @@ fn assert_mapped(camera: Camera, lens: &Intrinsics) {
     let kind = lens.kind();
     let (blank, graph, poses) = scene(camera, lens);
     let watch = &mut |_: &_| ControlFlow::Continue(());
-    let models = map(&graph, &blank, &mut |_| Vec::new(), &MapperOptions::default(), watch)
+    let models = map(&graph, &blank, &mut |_| Default::default(), &MapperOptions::default(), watch)
         .expect("a model");
     let model = &models[0].reconstruction;
     assert_eq!(model.num_registered(), NUM_IMAGES, "{kind:?}");

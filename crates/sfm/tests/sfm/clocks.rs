@@ -47,9 +47,10 @@ fn run(seed: u64, clocks: ClockEffects, rig: RigMode) -> Run {
     let graph = scene.graph(&matching);
     let mapper =
         MapperOptions { refine: RefineIntrinsics::NONE, rig, seed, ..MapperOptions::default() };
-    let models = map(&graph, &scene.without_poses(), &mut |_| Vec::new(), &mapper, &mut |_| {
-        ControlFlow::Continue(())
-    });
+    let models =
+        map(&graph, &scene.without_poses(), &mut |_| Default::default(), &mapper, &mut |_| {
+            ControlFlow::Continue(())
+        });
     let MappedModel { reconstruction: model, rig, .. } =
         models.expect("the scene is easy").remove(0);
     let camera = rig.and_then(|rig| rig.cameras.into_iter().next());

@@ -84,7 +84,7 @@ fn run(graph: &CorrespondenceGraph, scene: &Reconstruction, rigs: &KnownRigs) ->
     let watch = &mut |_: &_| ControlFlow::Continue(());
     let options = MapperOptions::default();
     let mut models =
-        map_with_rigs(graph, scene, rigs, &mut |_| Vec::new(), &options, watch).unwrap();
+        map_with_rigs(graph, scene, rigs, &mut |_| Default::default(), &options, watch).unwrap();
     models[0].reconstruction.validate().unwrap();
     models.swap_remove(0)
 }
@@ -92,7 +92,8 @@ fn run(graph: &CorrespondenceGraph, scene: &Reconstruction, rigs: &KnownRigs) ->
 /// Images that are registered without a known rig.
 fn num_registered_alone(graph: &CorrespondenceGraph, scene: &Reconstruction) -> usize {
     let watch = &mut |_: &_| ControlFlow::Continue(());
-    let models = map(graph, scene, &mut |_| Vec::new(), &MapperOptions::default(), watch).unwrap();
+    let models =
+        map(graph, scene, &mut |_| Default::default(), &MapperOptions::default(), watch).unwrap();
     models[0].reconstruction.num_registered()
 }
 

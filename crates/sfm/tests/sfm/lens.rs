@@ -63,8 +63,9 @@ fn a_street_rotates_no_camera_and_keeps_pixels_square() {
             camera.has_focal_prior = true;
         }
         let mapper = MapperOptions { seed, ..MapperOptions::default() };
-        let models =
-            map(&graph, &blank, &mut |_| Vec::new(), &mapper, &mut |_| ControlFlow::Continue(()));
+        let models = map(&graph, &blank, &mut |_| Default::default(), &mapper, &mut |_| {
+            ControlFlow::Continue(())
+        });
         let model = models.expect("the scene is easy").remove(0).reconstruction;
         assert_eq!(model.num_registered(), 2 * FRAMES);
         let turns: Vec<_> = ids

@@ -35,7 +35,7 @@ fn run(seed: u64, wrong: f64) -> (f64, Option<usize>, usize, usize) {
     }
     let mut closed = None;
     let options = MapperOptions { refine: RefineIntrinsics::NONE, ..MapperOptions::default() };
-    let models = map(&graph, &blank, &mut |_| Vec::new(), &options, &mut |event| {
+    let models = map(&graph, &blank, &mut |_| Default::default(), &options, &mut |event| {
         if let Event::LoopClosed { num_pairs } = event {
             closed = Some(*num_pairs);
         }

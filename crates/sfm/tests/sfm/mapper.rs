@@ -127,10 +127,11 @@ fn shape_error(model: &Reconstruction, poses: &[Rigid3]) -> f64 {
 }
 
 fn run(truth: &Truth, options: &MapperOptions) -> Reconstruction {
-    let mut models = map(&truth.graph, &truth.scene, &mut |_| Vec::new(), options, &mut |_| {
-        ControlFlow::Continue(())
-    })
-    .expect("the scene is easy");
+    let mut models =
+        map(&truth.graph, &truth.scene, &mut |_| Default::default(), options, &mut |_| {
+            ControlFlow::Continue(())
+        })
+        .expect("the scene is easy");
     models.remove(0).reconstruction
 }
 
@@ -214,9 +215,10 @@ fn two_scenes_without_matches_become_two_models() {
         one.graph.pairs().iter().map(|(pair, two_view)| (*pair, two_view.clone())).chain(shifted);
     let graph = CorrespondenceGraph::new(&counts, pairs);
     let options = MapperOptions { refine: RefineIntrinsics::NONE, ..Default::default() };
-    let models =
-        map(&graph, &scene, &mut |_| Vec::new(), &options, &mut |_| ControlFlow::Continue(()))
-            .unwrap();
+    let models = map(&graph, &scene, &mut |_| Default::default(), &options, &mut |_| {
+        ControlFlow::Continue(())
+    })
+    .unwrap();
     assert_eq!(
         models.iter().map(|model| model.reconstruction.num_registered()).collect::<Vec<_>>(),
         [NUM_IMAGES, NUM_IMAGES]
@@ -239,7 +241,7 @@ fn the_callback_stops_the_mapper() {
     let error = map(
         &truth.graph,
         &truth.scene,
-        &mut |_| Vec::new(),
+        &mut |_| Default::default(),
         &MapperOptions::default(),
         &mut |_| ControlFlow::Break(()),
     );

@@ -65,10 +65,11 @@ fn run(rig: RigMode) -> Run {
     let graph = CorrespondenceGraph::new(&counts, two_views);
     let mapper = MapperOptions { refine: RefineIntrinsics::NONE, rig, ..MapperOptions::default() };
     let mut was_joined = false;
-    let models = map(&graph, &scene.without_poses(), &mut |_| Vec::new(), &mapper, &mut |event| {
-        was_joined |= matches!(event, Event::Merged { .. });
-        ControlFlow::Continue(())
-    });
+    let models =
+        map(&graph, &scene.without_poses(), &mut |_| Default::default(), &mapper, &mut |event| {
+            was_joined |= matches!(event, Event::Merged { .. });
+            ControlFlow::Continue(())
+        });
     let models = models.expect("the scene is easy");
     let MappedModel { reconstruction, rig, .. } = &models[0];
     let camera = rig.as_ref().and_then(|rig| rig.cameras.first().cloned());

@@ -109,7 +109,7 @@ fn zero_is_refused_or_works() {
     for option in numbers().into_iter().chain(counts()) {
         let options = with(option, 0.0);
         let keep_going = &mut |_: &_| ControlFlow::Continue(());
-        let mapped = map(&graph, &images, &mut |_| Vec::new(), &options, keep_going);
+        let mapped = map(&graph, &images, &mut |_| Default::default(), &options, keep_going);
         if options.validate().is_err() {
             mapped.unwrap_err();
             refused.push(option.0);

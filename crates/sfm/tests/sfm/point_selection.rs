@@ -26,7 +26,8 @@ fn selected_points_determine_the_poses_and_all_other_points() {
     let graph = scene.graph(&MatchOptions { window: Some(6), ..MatchOptions::default() });
     let options = MapperOptions { refine: RefineIntrinsics::NONE, ..MapperOptions::default() };
     let go_on = &mut |_: &Event| ControlFlow::Continue(());
-    let models = map(&graph, &scene.without_poses(), &mut |_| Vec::new(), &options, go_on).unwrap();
+    let models =
+        map(&graph, &scene.without_poses(), &mut |_| Default::default(), &options, go_on).unwrap();
     let adjusted = |select_tracks: bool| {
         let mut model = models[0].reconstruction.clone();
         let options =

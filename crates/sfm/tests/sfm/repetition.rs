@@ -108,9 +108,10 @@ fn street(seed: u64) -> Street {
 fn steps(street: &Street, seed: u64) -> Vec<f64> {
     let options =
         MapperOptions { refine: RefineIntrinsics::NONE, seed, ..MapperOptions::default() };
-    let models = map(&street.graph, &street.scene, &mut |_| Vec::new(), &options, &mut |_| {
-        ControlFlow::Continue(())
-    });
+    let models =
+        map(&street.graph, &street.scene, &mut |_| Default::default(), &options, &mut |_| {
+            ControlFlow::Continue(())
+        });
     let model = models.expect("a street").remove(0).reconstruction;
     let centres: Vec<Option<Vector3<f64>>> =
         model.images().map(|(_, image)| image.cam_from_world().map(Rigid3::origin_in_a)).collect();

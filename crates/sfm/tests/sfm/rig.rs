@@ -140,10 +140,11 @@ fn drive_with(
 }
 
 fn run_whole(truth: &Truth, options: &MapperOptions) -> MappedModel {
-    let mut models = map(&truth.graph, &truth.scene, &mut |_| Vec::new(), options, &mut |_| {
-        ControlFlow::Continue(())
-    })
-    .expect("the scene is easy");
+    let mut models =
+        map(&truth.graph, &truth.scene, &mut |_| Default::default(), options, &mut |_| {
+            ControlFlow::Continue(())
+        })
+        .expect("the scene is easy");
     let model = models.remove(0);
     model.reconstruction.validate().expect("a sound model");
     model
@@ -179,13 +180,14 @@ fn each_model_reports_its_own_rig() {
     truth.graph = CorrespondenceGraph::new(&counts, thinned.collect::<Vec<_>>());
     let mut began = Vec::new();
     let options = calibrated(RigMode::Rigid);
-    let models = map(&truth.graph, &truth.scene, &mut |_| Vec::new(), &options, &mut |event| {
-        if let Event::Initialised { image1, .. } = event {
-            began.push(part(*image1));
-        }
-        ControlFlow::Continue(())
-    })
-    .expect("the scene is easy");
+    let models =
+        map(&truth.graph, &truth.scene, &mut |_| Default::default(), &options, &mut |event| {
+            if let Event::Initialised { image1, .. } = event {
+                began.push(part(*image1));
+            }
+            ControlFlow::Continue(())
+        })
+        .expect("the scene is easy");
     assert_eq!(began, [0, 1], "the smaller one comes first");
     let sizes: Vec<usize> =
         models.iter().map(|model| model.reconstruction.num_registered()).collect();

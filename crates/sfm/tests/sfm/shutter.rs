@@ -44,9 +44,10 @@ fn run(direction: ViewDirection, readout: Option<Readout>) -> Outcome {
     let graph = scene.graph(&matching);
     let mapper =
         MapperOptions { refine: RefineIntrinsics::NONE, readout, ..MapperOptions::default() };
-    let models = map(&graph, &scene.without_poses(), &mut |_| Vec::new(), &mapper, &mut |_| {
-        ControlFlow::Continue(())
-    });
+    let models =
+        map(&graph, &scene.without_poses(), &mut |_| Default::default(), &mapper, &mut |_| {
+            ControlFlow::Continue(())
+        });
     let model = models.expect("the scene is easy").remove(0);
     assert_eq!(model.reconstruction.num_registered(), 2 * FRAMES);
     let is_of_shutter = |failure: &&Failure| failure.stage == OptionalStage::RollingShutter;

@@ -1,7 +1,12 @@
 //! `feature_extractor`.
 
+use std::sync::Arc;
+
 use tiepoint_colmap::{ExtractOptions, SharedCamera, extract};
-use tiepoint_pipeline::io::features::{self as sift, DomainSizes, Normalization, Orientation};
+use tiepoint_pipeline::Error;
+use tiepoint_pipeline::io::features::{
+    self as sift, DomainSizes, Normalization, Orientation, SiftExtractor,
+};
 use tiepoint_pipeline::sfm::geometry::{CameraModelKind, Intrinsics};
 
 use super::options::Options;
@@ -12,7 +17,9 @@ use crate::progress::Progress;
 pub(super) fn feature_extractor(options: &Options, output: &Output) -> Result<(), Failure> {
     let database = options.required("database_path").map_err(Failure::Usage)?;
     let images = options.required("image_path").map_err(Failure::Usage)?;
-    let extraction = extraction(options).map_err(Failure::Usage)?;
+    let detector = detector(options).map_err(Failure::Usage)?;
+    let extractor = SiftExtractor::new(detector).map_err(Error::from)?;
+    let extraction = extraction(options, extractor).map_err(Failure::Usage)?;
     let mut progress = Progress::new(output);
     let found = extract(&database, &images, &extraction, &mut |event| progress.watch(event))?;
     drop(progress);
@@ -25,7 +32,7 @@ pub(super) fn feature_extractor(options: &Options, output: &Output) -> Result<()
     })
 }
 
-fn extraction(options: &Options) -> Result<ExtractOptions, String> {
+fn extraction(options: &Options, extractor: SiftExtractor) -> Result<ExtractOptions, String> {
     let name = options.text("ImageReader.camera_model");
     let model =
         CameraModelKind::from_name(&name.to_ascii_uppercase()).map_err(|e| e.to_string())?;
@@ -41,7 +48,7 @@ fn extraction(options: &Options) -> Result<ExtractOptions, String> {
         params,
         focal_factor: options.number("ImageReader.default_focal_length_factor")?,
         max_image_size: u32::try_from(most).ok().filter(|most| *most > 0),
-        detector: detector(options)?,
+        extractor: Arc::new(extractor),
     })
 }
 

@@ -1,7 +1,11 @@
 //! `exhaustive_matcher`, `sequential_matcher` and `vocab_tree_matcher`.
 
+use std::sync::Arc;
+
 use tiepoint_colmap::{DatabasePairs, match_database};
-use tiepoint_pipeline::sfm::{VerifyOptions, matching};
+use tiepoint_pipeline::Error;
+use tiepoint_pipeline::sfm::VerifyOptions;
+use tiepoint_pipeline::sfm::matching::{self, NearestNeighbours};
 use tiepoint_pipeline::stages::MatchOptions;
 
 use super::options::Options;
@@ -34,7 +38,9 @@ pub(super) fn vocab_tree_matcher(options: &Options, output: &Output) -> Result<(
 
 fn run(pairs: DatabasePairs, options: &Options, output: &Output) -> Result<(), Failure> {
     let database = options.required("database_path").map_err(Failure::Usage)?;
-    let matching = match_options(options).map_err(Failure::Usage)?;
+    let descriptors = descriptor_options(options).map_err(Failure::Usage)?;
+    let matcher = NearestNeighbours::new(descriptors).map_err(Error::from)?;
+    let matching = match_options(options, matcher).map_err(Failure::Usage)?;
     let mut progress = Progress::new(output);
     let report = match_database(&database, pairs, &matching, &mut |event| progress.watch(event))?;
     drop(progress);
@@ -46,15 +52,20 @@ fn run(pairs: DatabasePairs, options: &Options, output: &Output) -> Result<(), F
     })
 }
 
-fn match_options(options: &Options) -> Result<MatchOptions, String> {
+fn descriptor_options(options: &Options) -> Result<matching::Options, String> {
+    let real = |name: &str| options.number::<f64>(name);
+    Ok(matching::Options {
+        max_ratio: Some(real("SiftMatching.max_ratio")?),
+        max_angle_rad: Some(real("SiftMatching.max_distance")?),
+        mutual: options.flag("SiftMatching.cross_check"),
+        ..matching::Options::default()
+    })
+}
+
+fn match_options(options: &Options, matcher: NearestNeighbours) -> Result<MatchOptions, String> {
     let real = |name: &str| options.number::<f64>(name);
     Ok(MatchOptions {
-        descriptors: matching::Options {
-            max_ratio: Some(real("SiftMatching.max_ratio")?),
-            max_angle_rad: Some(real("SiftMatching.max_distance")?),
-            mutual: options.flag("SiftMatching.cross_check"),
-            ..matching::Options::default()
-        },
+        matcher: Arc::new(matcher),
         verify: VerifyOptions {
             max_error_px: real("SiftMatching.max_error")?,
             min_num_inliers: options.number("SiftMatching.min_num_inliers")?,
