@@ -3,7 +3,6 @@
 //! Without the checks of registration, the trajectory folds at every period.
 
 use std::collections::BTreeMap;
-use std::ops::ControlFlow;
 
 use tiepoint_geometry::nalgebra::{Vector2, Vector3};
 use tiepoint_geometry::{CameraModelKind, Intrinsics, Rigid3, Rng};
@@ -11,7 +10,7 @@ use tiepoint_scene::{
     Camera, CorrespondenceGraph, Image, ImagePair, Keypoint, Match, Reconstruction,
 };
 use tiepoint_sfm::{
-    ImageObservations, MapperOptions, RefineIntrinsics, VerifyOptions, map, verify_pair,
+    ImageObservations, Mapper, MapperOptions, RefineIntrinsics, VerifyOptions, verify_pair,
 };
 
 use crate::common::sample;
@@ -108,9 +107,7 @@ fn street(seed: u64) -> Street {
 fn steps(street: &Street, seed: u64) -> Vec<f64> {
     let options =
         MapperOptions { refine: RefineIntrinsics::NONE, seed, ..MapperOptions::default() };
-    let models = map(&street.graph, &street.scene, &mut |_| Vec::new(), &options, &mut |_| {
-        ControlFlow::Continue(())
-    });
+    let models = Mapper::new(&street.graph, &street.scene).run(&options);
     let model = models.expect("a street").remove(0).reconstruction;
     let centres: Vec<Option<Vector3<f64>>> =
         model.images().map(|(_, image)| image.cam_from_world().map(Rigid3::origin_in_a)).collect();

@@ -10,9 +10,9 @@ use tiepoint_scene::{
 };
 use tiepoint_sfm::rig::{paper, relative_pose_statistics};
 use tiepoint_sfm::{
-    AdjustOptions, BaselineTerm, Event, ImageObservations, MappedModel, MapperOptions,
-    RefineIntrinsics, RigConstraint, RigMode, Scope, Term, VerifyOptions, adjust, final_links,
-    growing_links, map, relative_poses, rig_pairs, verify_pair,
+    AdjustOptions, BaselineTerm, Event, Gauge, ImageObservations, LinkWeights, MappedModel, Mapper,
+    MapperOptions, RefineIntrinsics, RigConstraint, RigMode, Scope, Term, VerifyOptions, adjust,
+    final_links, growing_links, relative_poses, rig_pairs, verify_pair,
 };
 
 use crate::common::{ate_m, sample};
@@ -140,10 +140,8 @@ fn drive_with(
 }
 
 fn run_whole(truth: &Truth, options: &MapperOptions) -> MappedModel {
-    let mut models = map(&truth.graph, &truth.scene, &mut |_| Vec::new(), options, &mut |_| {
-        ControlFlow::Continue(())
-    })
-    .expect("the scene is easy");
+    let mut models =
+        Mapper::new(&truth.graph, &truth.scene).run(options).expect("the scene is easy");
     let model = models.remove(0);
     model.reconstruction.validate().expect("a sound model");
     model
@@ -179,13 +177,16 @@ fn each_model_reports_its_own_rig() {
     truth.graph = CorrespondenceGraph::new(&counts, thinned.collect::<Vec<_>>());
     let mut began = Vec::new();
     let options = calibrated(RigMode::Rigid);
-    let models = map(&truth.graph, &truth.scene, &mut |_| Vec::new(), &options, &mut |event| {
+    let mut watch = |event: &Event| {
         if let Event::Initialised { image1, .. } = event {
             began.push(part(*image1));
         }
         ControlFlow::Continue(())
-    })
-    .expect("the scene is easy");
+    };
+    let models = Mapper::new(&truth.graph, &truth.scene)
+        .watch(&mut watch)
+        .run(&options)
+        .expect("the scene is easy");
     assert_eq!(began, [0, 1], "the smaller one comes first");
     let sizes: Vec<usize> =
         models.iter().map(|model| model.reconstruction.num_registered()).collect();
@@ -457,10 +458,11 @@ fn the_gauge_stays_fixed() {
     );
     let options = AdjustOptions {
         refine: RefineIntrinsics::NONE,
-        gauge: Some(gauge),
+        gauge: Gauge::Pair(gauge),
         ..AdjustOptions::default()
     };
-    let terms: &mut [&mut dyn Term] = &mut [&mut BaselineTerm { links: &links }];
+    let terms: &mut [&mut dyn Term] =
+        &mut [&mut BaselineTerm { rigs: &rigs, weights: LinkWeights::Growing }];
     adjust(&mut model, &Scope::Global, &options, terms, &mut |_| ControlFlow::Continue(()))
         .unwrap();
     assert_eq!(*model.image(gauge.a).cam_from_world().unwrap(), first);
