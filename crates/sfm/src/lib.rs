@@ -1,5 +1,6 @@
 #![doc = include_str!("../README.md")]
 
+pub mod convert;
 mod diagnostics;
 mod error;
 mod event;

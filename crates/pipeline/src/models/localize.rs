@@ -11,6 +11,7 @@ use tiepoint_input::{DEFAULT_MAX_PIXELS, Exif, ImageFolder, ImageInfo};
 use tiepoint_io::colmap::Format;
 use tiepoint_io::database::Database;
 use tiepoint_io::features::{self as sift, Features};
+use tiepoint_sfm::convert::keypoint;
 use tiepoint_sfm::geometry::Rng;
 use tiepoint_sfm::matching::{self, RetrievalIndex, Vocabulary};
 use tiepoint_sfm::scene::{
@@ -28,7 +29,6 @@ use crate::stages::loaded_features::LoadedFeatures;
 use crate::stages::pair_choice::learn_retrieval;
 use crate::workspace::database_scene::read_scene;
 use crate::workspace::folder::{DATABASE, current_records, is_workspace};
-use crate::workspace::keypoints::keypoint;
 use crate::workspace::located_model::LocatedModel;
 use crate::workspace::model_output::write_colmap;
 use crate::{Error, Event, Watch, emit};

@@ -1,10 +1,9 @@
 //! Features of an image in memory, ready to be matched.
 
 use tiepoint_io::features::Features;
+use tiepoint_sfm::convert::{keypoint, matched};
 use tiepoint_sfm::matching::{Options, Prepared, match_prepared};
 use tiepoint_sfm::scene::{Keypoint, Match};
-
-use crate::workspace::keypoints::keypoint;
 
 /// Features of an image in memory.
 pub(crate) struct LoadedFeatures {
@@ -23,6 +22,6 @@ impl LoadedFeatures {
     /// The matches of this image, which is `a`, with another one.
     pub(crate) fn matches(&self, other: &Self, options: &Options) -> Vec<Match> {
         let matches = match_prepared(&self.descriptors, &other.descriptors, options);
-        matches.iter().map(|m| Match { a: m.a, b: m.b }).collect()
+        matches.iter().map(matched).collect()
     }
 }

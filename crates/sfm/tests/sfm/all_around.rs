@@ -63,10 +63,7 @@ fn scene(camera: Camera, lens: &Intrinsics) -> (Reconstruction, CorrespondenceGr
                 }
             }
             let pair = ImagePair::new(ImageId(a as u32), ImageId(b as u32)).expect("two images");
-            let view = |id| ImageObservations {
-                keypoints: &model.image(id).keypoints,
-                camera: model.camera_of(id),
-            };
+            let view = |id| ImageObservations::new(&model, id);
             let options = VerifyOptions::default();
             two_views.push((pair, verify_pair(view(pair.a), view(pair.b), &matches, &options, 0)));
         }

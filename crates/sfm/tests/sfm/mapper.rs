@@ -95,10 +95,7 @@ fn truth_of(
                 }
             }
             let pair = ImagePair::new(ImageId(a as u32), ImageId(b as u32)).expect("two images");
-            let view = |id| ImageObservations {
-                keypoints: &scene.image(id).keypoints,
-                camera: scene.camera_of(id),
-            };
+            let view = |id| ImageObservations::new(&scene, id);
             two_views.push((
                 pair,
                 verify_pair(view(pair.a), view(pair.b), &matches, &VerifyOptions::default(), seed),

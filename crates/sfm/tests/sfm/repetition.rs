@@ -92,10 +92,7 @@ fn street(seed: u64) -> Street {
             Some(Match { a: only(keypoints)?, b: only(seen[b].get(appearance)?)? })
         };
         let matches: Vec<Match> = seen[a].iter().filter_map(of).collect();
-        let view = |frame: usize| ImageObservations {
-            keypoints: &scene.image(ids[frame]).keypoints,
-            camera: scene.camera_of(ids[frame]),
-        };
+        let view = |frame: usize| ImageObservations::new(&scene, ids[frame]);
         let two_view = verify_pair(view(a), view(b), &matches, &VerifyOptions::default(), seed);
         (!two_view.matches.is_empty()).then_some((ImagePair::new(ids[a], ids[b])?, two_view))
     });

@@ -126,10 +126,7 @@ fn drive_with(
             };
             let matches: Vec<Match> = seen[a].iter().enumerate().filter_map(found).collect();
             let pair = ImagePair::new(ImageId(a as u32), ImageId(b as u32)).expect("two images");
-            let view = |id| ImageObservations {
-                keypoints: &scene.image(id).keypoints,
-                camera: scene.camera_of(id),
-            };
+            let view = |id| ImageObservations::new(&scene, id);
             let options = VerifyOptions::default();
             two_views
                 .push((pair, verify_pair(view(pair.a), view(pair.b), &matches, &options, seed)));
