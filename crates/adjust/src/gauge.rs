@@ -1,7 +1,29 @@
 use tiepoint_ba::{Key, Problem};
 use tiepoint_geometry::Rigid3;
+use tiepoint_scene::ImagePair;
 
 use crate::Error;
+
+/// What fixes the gauge of an adjustment: the position, orientation and scale of the world frame,
+/// seven degrees of freedom that images alone leave open.
+///
+/// Constant poses ([`crate::AdjustOptions::constant_poses`], images outside a local scope) count as
+/// held, and two of them fix the gauge. Constant rigs with a baseline fix the scale.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Gauge {
+    /// The pose of the first image is held, and one coordinate of the centre of the image farthest
+    /// from it.
+    #[default]
+    FirstAndFarthest,
+    /// The pose of the pair's first image is held, and one coordinate of the centre of its second.
+    /// As [`Gauge::FirstAndFarthest`] where an image of the pair takes no part or a pose is
+    /// constant.
+    Pair(ImagePair),
+    /// Nothing is held: terms determine the frame, such as measured positions. The model must be
+    /// near their frame before the adjustment ([`crate::Term::frame`]). Steps along directions that
+    /// no term determines are left to the damping of the optimiser; covariances are then singular.
+    FixedByTerms,
+}
 
 /// Fixes the seven degrees of freedom of the gauge: position, orientation and scale of the world
 /// frame.

@@ -17,15 +17,15 @@ mod triangulation;
 mod variables;
 
 pub use error::Error;
-pub use gauge::fix_gauge;
+pub use gauge::{Gauge, fix_gauge};
 pub use image_grid::grid_cell;
 pub use noise::{keypoint_sigma_px, noise_of_fit, relative_noise};
 pub use options::{AdjustOptions, FocalPrior, RefineIntrinsics, Scope};
 pub use problem::build_problem;
 pub use solve::{adjust, keep_going};
-pub use term::{Shifted, Term, TermContext};
+pub use term::{Shifted, Term, TermContext, TermFrame};
 pub use tiepoint_ba as ba;
 pub use tiepoint_geometry as geometry;
 pub use tiepoint_scene as scene;
 pub use triangulation::{triangulate_observations, view_ray};
-pub use variables::Variables;
+pub use variables::{ComposedPose, Variables};

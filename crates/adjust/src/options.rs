@@ -3,8 +3,9 @@
 use std::collections::BTreeSet;
 
 use tiepoint_geometry::{Loss, OptionError};
-use tiepoint_scene::{CameraId, ImageId, ImagePair, PointId, Reconstruction};
+use tiepoint_scene::{CameraId, ImageId, PointId, Reconstruction};
 
+use crate::gauge::Gauge;
 use crate::noise::relative_noise;
 
 /// Intrinsics that a bundle adjustment refines.
@@ -73,9 +74,8 @@ pub struct AdjustOptions<'a> {
     pub noise: f64,
     /// Priors on focal lengths. Cameras that are not listed have none.
     pub focal_priors: &'a [FocalPrior],
-    /// The images that fix the gauge: the pose of the first and one coordinate of the second one's
-    /// centre. By default the first image and the one farthest from it.
-    pub gauge: Option<ImagePair>,
+    /// What fixes the gauge.
+    pub gauge: Gauge,
     /// Images whose poses are constant, in every scope.
     pub constant_poses: Option<&'a BTreeSet<ImageId>>,
     /// Whether the extrinsics of the model's rigs are constant. Then they determine the scale.
@@ -121,7 +121,7 @@ impl Default for AdjustOptions<'_> {
             distortion_sigma: 0.2,
             noise: 1.0,
             focal_priors: &[],
-            gauge: None,
+            gauge: Gauge::FirstAndFarthest,
             constant_poses: None,
             constant_rigs: false,
             max_iterations: 50,

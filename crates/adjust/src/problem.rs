@@ -2,7 +2,7 @@
 //!
 //! E = ½ Σ ρ(|x − π(k, R X + t)|² / σ²), where σ grows with the keypoint's scale
 //! ([`crate::keypoint_sigma_px`]), plus priors on the intrinsics and the factors of [`Term`]s. The
-//! gauge is fixed by leaving columns out ([`fix_gauge`]). Held-out points take no part; with point
+//! gauge is fixed by leaving columns out ([`Gauge`]). Held-out points take no part; with point
 //! selection, neither do points that were not selected.
 
 use std::collections::BTreeSet;
@@ -14,14 +14,14 @@ use tiepoint_geometry::{CameraModel, Loss, Rigid3, with_camera_model};
 use tiepoint_scene::{CameraId, ImageId, Keypoint, Reconstruction};
 
 use crate::Error;
-use crate::gauge::fix_gauge;
+use crate::gauge::{Gauge, fix_gauge};
 use crate::intrinsics::{fixed_columns, intrinsics_prior};
 use crate::noise::keypoint_sigma_px;
 use crate::options::{AdjustOptions, RefineIntrinsics, Scope};
 use crate::portrait_landscape::{CameraKey, add_portrait_landscape};
 use crate::selection::select_points;
 use crate::term::{Shifted, Term, TermContext};
-use crate::variables::{Composed, Variables};
+use crate::variables::{ComposedPose, Variables};
 
 /// For each image: its keypoints that observe a point of the problem.
 type Observations = Vec<Vec<(u32, Key<Vector3<f64>>)>>;
@@ -112,17 +112,22 @@ fn add_poses(
     }
 }
 
-/// Fixes the gauge on the poses of images and frames.
+/// Fixes the gauge on the poses of images and frames, unless terms do.
 fn fix_problem_gauge(
     variables: &mut Variables,
     context: &TermContext,
     options: &AdjustOptions,
 ) -> Result<(), Error> {
+    let index_of = |wanted| variables.poses.iter().position(|(image, _)| *image == wanted);
+    let pair = match options.gauge {
+        Gauge::FixedByTerms => return Ok(()),
+        Gauge::Pair(pair) => index_of(pair.a).zip(index_of(pair.b)).map(|(a, b)| [a, b]),
+        Gauge::FirstAndFarthest => None,
+    };
     let is_fixed = |image: ImageId| !options.is_variable(context.scope, image);
     let of_images = variables.poses.iter().map(|(image, key)| (*key, is_fixed(*image)));
     let (keys, fixed): (Vec<Key<Rigid3>>, Vec<bool>) =
         of_images.chain(variables.rig_poses.iter().copied()).unzip();
-    let index_of = |wanted| variables.poses.iter().position(|(image, _)| *image == wanted);
     if options.constant_rigs && variables.have_baseline() {
         // The rigs determine the scale.
         if !fixed.contains(&true)
@@ -132,7 +137,6 @@ fn fix_problem_gauge(
         }
         return Ok(());
     }
-    let pair = options.gauge.and_then(|pair| Some([index_of(pair.a)?, index_of(pair.b)?]));
     fix_gauge(variables.problem_mut(), &keys, &fixed, pair)?;
     if let (1, Some((_, composed))) = (keys.len(), variables.composed.first()) {
         // A single frame of a rig: the baseline of two of its cameras fixes the scale.
@@ -166,7 +170,7 @@ fn set_tree_retraction(
 #[derive(Clone, Copy)]
 enum Pose {
     Variable(Key<Rigid3>),
-    Composed(Composed),
+    Composed(ComposedPose),
 }
 
 /// Adds the intrinsics of a camera and the observations of its images. Returns the key of the
@@ -265,7 +269,7 @@ impl ImageObservations<'_> {
                         loss,
                     )?;
                 }
-                (Pose::Composed(Composed { cam_from_rig, rig_from_world }), _) => {
+                (Pose::Composed(ComposedPose { cam_from_rig, rig_from_world }), _) => {
                     let factor = RigReprojection::<M>::new(pixel, sigma_px);
                     problem.add((params, cam_from_rig, rig_from_world, point), factor, loss)?;
                 }

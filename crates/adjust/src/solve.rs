@@ -34,10 +34,10 @@ pub fn adjust(
     options.validate()?;
     let mut frames =
         (!model.frames.is_empty()).then(|| RigidFrames::new(model, options.constant_rigs));
+    // The frames come first, so that the terms find the poses of their images.
     let frames_term = frames.as_mut().map(|frames| frames as &mut dyn Term);
-    let mut terms: Vec<&mut dyn Term> =
-        terms.iter_mut().map(|term| &mut **term as &mut dyn Term).collect();
-    terms.extend(frames_term);
+    let given = terms.iter_mut().map(|term| &mut **term as &mut dyn Term);
+    let mut terms: Vec<&mut dyn Term> = frames_term.into_iter().chain(given).collect();
     let mut variables = build_problem(model, scope, options, &mut terms)?;
     let solver_options = Options {
         max_iterations: options.max_iterations,

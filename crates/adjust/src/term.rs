@@ -1,5 +1,7 @@
 use tiepoint_ba::{Key, Problem};
-use tiepoint_geometry::nalgebra::{Vector1, Vector2};
+use tiepoint_geometry::Sim3;
+use tiepoint_geometry::nalgebra::{Matrix3, Vector1, Vector2, Vector3};
+use tiepoint_geometry::solvers::umeyama;
 use tiepoint_scene::{CameraId, ImageId, Reconstruction};
 
 use crate::Error;
@@ -9,11 +11,24 @@ use crate::variables::Variables;
 /// An addition to the reprojection errors of an adjustment, with its own variables and factors,
 /// such as rig constraints or rolling shutters.
 ///
-/// [`crate::adjust`] adds a term for the frames of a model, which composes the poses of their
-/// images.
+/// A term is used for many adjustments: of a part of the images while a model grows
+/// ([`Scope::Local`]), of all of them, and of models that are discarded later. What it adds depends
+/// on the variables that it finds. [`crate::adjust`] puts a term for the frames of the model before
+/// the given ones; it composes the poses of their images.
 ///
-/// The methods are called in the order below, each on all terms before the next one.
+/// An adjustment calls [`Term::composed_images`] and the methods below it in this order, each on
+/// all terms before the next one.
 pub trait Term {
+    /// Returns how the measurements of the term lie to the frame of a model. The default is for
+    /// measurements that hold in any frame, such as the equality of two relative poses.
+    ///
+    /// A mapper asks before it adjusts a whole model, and moves the model into the frame of the
+    /// terms. [`crate::adjust`] does not ask.
+    fn frame(&self, model: &Reconstruction) -> TermFrame {
+        let _ = model;
+        TermFrame::Any
+    }
+
     /// Returns the images among `posed` (sorted by id) whose pose is not a variable. [`Term::add`]
     /// composes it of other variables with [`Variables::compose_pose`].
     fn composed_images(&mut self, posed: &[ImageId]) -> Vec<ImageId> {
@@ -58,6 +73,39 @@ pub trait Term {
     /// Reads its variables from the solved problem.
     fn read(&mut self, problem: &Problem) {
         let _ = problem;
+    }
+}
+
+/// The frame of a term's measurements: the world frame of a model that fits them.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum TermFrame {
+    /// The measurements hold in any frame.
+    Any,
+    /// The model does not determine the similarity: it has too few images, or they lie on a line.
+    /// The term takes no part until it does.
+    Undetermined,
+    /// The similarity `term_from_model`.
+    TermFromModel(Sim3),
+}
+
+/// Minimum spread of points across a line, in their standard deviations along an axis. It gives the
+/// rotation about the line to a fraction of a radian, which adjustments then refine.
+const MIN_SPREAD: f64 = 3.0;
+
+impl TermFrame {
+    /// The frame of measured points, such as the centres of cameras: the similarity that brings
+    /// `in_model[i]` nearest to `measured[i]`. It is undetermined as long as the measured points
+    /// lie on a line, up to three times their standard deviation `sigma` along an axis.
+    pub fn of_points(in_model: &[Vector3<f64>], measured: &[Vector3<f64>], sigma: f64) -> Self {
+        let count = measured.len() as f64;
+        let mean = measured.iter().sum::<Vector3<f64>>() / count;
+        let square = |point: &Vector3<f64>| (point - mean) * (point - mean).transpose();
+        let variances = measured.iter().map(square).sum::<Matrix3<f64>>().symmetric_eigenvalues();
+        let across = variances.sum() - variances.max() - variances.min();
+        if across <= MIN_SPREAD.powi(2) * sigma.powi(2) * count {
+            return Self::Undetermined;
+        }
+        umeyama(in_model, measured, true).map_or(Self::Undetermined, Self::TermFromModel)
     }
 }
 

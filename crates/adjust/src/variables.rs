@@ -10,17 +10,19 @@ pub struct Variables {
     problem: Problem,
     pub(crate) cameras: Vec<(CameraId, ReadCamera)>,
     pub(crate) poses: Vec<(ImageId, Key<Rigid3>)>,
-    pub(crate) composed: Vec<(ImageId, Composed)>,
+    pub(crate) composed: Vec<(ImageId, ComposedPose)>,
     /// Poses of frames without a pose variable of an image, and whether they are constant.
     pub(crate) rig_poses: Vec<(Key<Rigid3>, bool)>,
     pub(crate) points: Vec<(PointId, Key<Vector3<f64>>)>,
 }
 
-/// The pose of an image as a product of two variables.
-#[derive(Clone, Copy)]
-pub(crate) struct Composed {
-    pub(crate) cam_from_rig: Key<Rigid3>,
-    pub(crate) rig_from_world: Key<Rigid3>,
+/// The pose of an image as a product of two variables, `cam_from_rig` · `rig_from_world`.
+#[derive(Clone, Copy, Debug)]
+pub struct ComposedPose {
+    /// Pose of the camera on the rig.
+    pub cam_from_rig: Key<Rigid3>,
+    /// Pose of the frame, or of the image of the reference sensor.
+    pub rig_from_world: Key<Rigid3>,
 }
 
 /// Reads the intrinsics of a camera from the solved problem. The type of the parameter block
@@ -54,6 +56,12 @@ impl Variables {
         &self.poses
     }
 
+    /// The images whose pose is composed of variables, as far as the terms have composed it: those
+    /// of the model's frames first, then those of each term in turn.
+    pub fn composed_poses(&self) -> &[(ImageId, ComposedPose)] {
+        &self.composed
+    }
+
     /// The points that take part, in order of their ids: neither held-out ones nor, with
     /// [`crate::AdjustOptions::select_tracks`], those that were not selected.
     pub fn points(&self) -> &[(PointId, Key<Vector3<f64>>)] {
@@ -68,7 +76,7 @@ impl Variables {
         cam_from_rig: Key<Rigid3>,
         rig_from_world: Key<Rigid3>,
     ) {
-        self.composed.push((image, Composed { cam_from_rig, rig_from_world }));
+        self.composed.push((image, ComposedPose { cam_from_rig, rig_from_world }));
     }
 
     /// Whether a frame has images of cameras with different centres on the rig, so that constant
@@ -76,7 +84,7 @@ impl Variables {
     pub(crate) fn have_baseline(&self) -> bool {
         let mut centres: BTreeMap<Key<Rigid3>, Vector3<f64>> =
             self.poses.iter().map(|(_, key)| (*key, Vector3::zeros())).collect();
-        self.composed.iter().any(|(_, Composed { cam_from_rig, rig_from_world })| {
+        self.composed.iter().any(|(_, ComposedPose { cam_from_rig, rig_from_world })| {
             let centre = self.problem.get(*cam_from_rig).origin_in_a();
             let other = *centres.entry(*rig_from_world).or_insert(centre);
             (centre - other).norm() > f64::EPSILON * centre.norm()
@@ -91,7 +99,7 @@ impl Variables {
         for &(image, key) in &self.poses {
             model.register(image, self.problem.get(key));
         }
-        for &(image, Composed { cam_from_rig, rig_from_world }) in &self.composed {
+        for &(image, ComposedPose { cam_from_rig, rig_from_world }) in &self.composed {
             model
                 .register(image, self.problem.get(cam_from_rig) * self.problem.get(rig_from_world));
         }

@@ -11,8 +11,8 @@ use tiepoint_pipeline::io::colmap::{Format, read_model};
 use tiepoint_pipeline::io::database::Database;
 use tiepoint_pipeline::sfm::scene::{CorrespondenceGraph, ImageId, Reconstruction};
 use tiepoint_pipeline::sfm::{
-    self as sfm, Existing, KnownFrame, KnownRigs, MappedModel, MapperOptions, Transferred,
-    transfer_model,
+    self as sfm, ExistingPoses, KnownFrame, KnownRigs, MappedModel, Mapper, MapperOptions,
+    Transferred, transfer_model,
 };
 use tiepoint_pipeline::stages::{color_points, named_event};
 use tiepoint_pipeline::{Error, Event, Stage, Watch, emit};
@@ -136,9 +136,6 @@ fn run(
     options: &MapDatabaseOptions,
     watch: Watch,
 ) -> Result<Vec<MappedModel>, Error> {
-    // Without descriptors, no images are matched again.
-    let mut descriptors = |_: ImageId| Default::default();
-    let mapper = &options.mapper;
     let extended = options.input.as_deref().map(|path| transferred(scene, path)).transpose()?;
     let scene = extended.as_ref().map_or(scene, |extended| &extended.scene);
     let name = |id| scene.image(id).name.as_str();
@@ -146,17 +143,21 @@ fn run(
         named_event(event, &name).map_or(ControlFlow::Continue(()), |event| watch(&event))
     };
     let Some(path) = &options.input else {
-        return Ok(match known_rigs(database, options.refine_extrinsics)? {
-            None => sfm::map(graph, scene, &mut descriptors, mapper, &mut notified)?,
-            Some(rigs) => {
-                sfm::map_with_rigs(graph, scene, &rigs, &mut descriptors, mapper, &mut notified)?
-            }
-        });
+        let rigs = known_rigs(database, options.refine_extrinsics)?;
+        let mut mapper = Mapper::new(graph, scene).watch(&mut notified);
+        if let Some(rigs) = &rigs {
+            mapper = mapper.known_rigs(rigs);
+        }
+        return Ok(mapper.run(&options.mapper)?);
     };
-    let existing = Existing { model: scene, constant_poses: options.constant_poses };
+    let poses = match options.constant_poses {
+        true => ExistingPoses::Constant,
+        false => ExistingPoses::Refined,
+    };
     let graph = &for_scene(graph, scene);
-    sfm::extend(graph, &existing, &mut descriptors, mapper, &mut notified)
-        .map_err(|cause| Error::InputModel { path: path.clone(), cause })
+    let mapper = Mapper::new(graph, scene).existing(poses).watch(&mut notified);
+    let models = mapper.run(&options.mapper);
+    models.map_err(|cause| Error::InputModel { path: path.clone(), cause })
 }
 
 /// The scene with the poses and points of a model.

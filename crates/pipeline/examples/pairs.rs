@@ -13,7 +13,8 @@ use std::time::Instant;
 
 use tiepoint_io::database::Database;
 use tiepoint_io::features::{Features, SiftDescriptor};
-use tiepoint_sfm::geometry::{Rng, nalgebra::Vector2};
+use tiepoint_sfm::convert::{keypoint, matched};
+use tiepoint_sfm::geometry::Rng;
 use tiepoint_sfm::matching::Options;
 use tiepoint_sfm::matching::sift::{Prepared, match_prepared, nearest, select};
 use tiepoint_sfm::scene::{ImageId, Keypoint, Match};
@@ -37,7 +38,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             timed(|| [&descriptors_a, &descriptors_b].map(|d| Prepared::new(d)));
         let (matching, found) = timed(|| match_prepared(&a, &b, &options));
         let (in_full, expected) = timed(|| select(&nearest(&a, &b), &options));
-        let list: Vec<Match> = found.iter().map(|m| Match { a: m.a, b: m.b }).collect();
+        let list: Vec<Match> = found.iter().map(matched).collect();
         let camera = |image: ImageId| &cameras[images[image.index()].camera.index()];
         let view_a = ImageObservations { keypoints: &keypoints_a, camera: camera(pair.a) };
         let view_b = ImageObservations { keypoints: &keypoints_b, camera: camera(pair.b) };
@@ -79,13 +80,7 @@ fn largest(features: &Features, most: usize) -> (Vec<Keypoint>, Vec<SiftDescript
     let mut order: Vec<usize> = (0..features.keypoints.len()).collect();
     order.sort_by(|&i, &j| features.keypoints[j].scale.total_cmp(&features.keypoints[i].scale));
     order.truncate(most);
-    let keypoint = |&i: &usize| {
-        let keypoint = features.keypoints[i];
-        Keypoint {
-            pixel: Vector2::new(f64::from(keypoint.x), f64::from(keypoint.y)),
-            scale_px: keypoint.scale,
-        }
-    };
+    let keypoint = |&i: &usize| keypoint(&features.keypoints[i]);
     let descriptors = features.descriptors.as_sift().unwrap_or_default();
     (order.iter().map(keypoint).collect(), order.iter().map(|&i| descriptors[i]).collect())
 }

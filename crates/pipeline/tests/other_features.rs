@@ -23,6 +23,7 @@ use tiepoint_pipeline::sfm::scene::{ImageId, Reconstruction};
 use tiepoint_pipeline::stages::{
     FeatureOptions, MapOptions, MatchOptions, choose_pairs, match_images,
 };
+use tiepoint_pipeline::workspace::LocatedModel;
 use tiepoint_pipeline::{Error, Event, Options, Stage, Workspace, reconstruct};
 use tiepoint_synth::{Drive, DriveOptions, Mount, ViewDirection};
 
@@ -305,7 +306,8 @@ fn a_photo_is_localized_and_other_features_are_refused() {
     let dir = tempfile::tempdir().unwrap();
     let output = dir.path().join("new");
     let find = |options: &LocalizeOptions| {
-        localize(&folder.join("ws"), &[folder.join("new")], &output, options, &mut go_on)
+        let model = LocatedModel::open(&folder.join("ws")).unwrap();
+        localize(&model, &[folder.join("new")], &output, options, &mut go_on)
     };
     let (extractor, calibration) = (extractor(), calibration());
     let same = LocalizeOptions { extractor, calibration, ..LocalizeOptions::default() };

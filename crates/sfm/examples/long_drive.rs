@@ -6,10 +6,9 @@
 
 #![allow(clippy::print_stdout, reason = "an example shows its result")]
 
-use std::ops::ControlFlow;
 use std::time::Instant;
 
-use tiepoint_sfm::{MapperOptions, RefineIntrinsics, RigMode, map};
+use tiepoint_sfm::{Mapper, MapperOptions, RefineIntrinsics, RigMode};
 use tiepoint_synth::{Drive, DriveOptions, FeatureOptions, FeatureScene, MatchOptions, RouteKind};
 
 const RATE_HZ: f64 = 10.0;
@@ -44,9 +43,7 @@ fn main() {
             let options =
                 MapperOptions { refine: RefineIntrinsics::NONE, rig, ..MapperOptions::default() };
             let start = Instant::now();
-            let models = map(&graph, &blank, &mut |_| Default::default(), &options, &mut |_| {
-                ControlFlow::Continue(())
-            });
+            let models = Mapper::new(&graph, &blank).run(&options);
             let seconds = start.elapsed().as_secs_f64();
             observations = models.map_or(0, |models| models[0].reconstruction.num_observations());
             seconds

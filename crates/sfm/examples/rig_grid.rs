@@ -8,11 +8,11 @@
 
 #![allow(clippy::print_stdout, reason = "an example shows its result")]
 
-use std::ops::ControlFlow;
-
 use tiepoint_eval::{Alignment, Statistics, compare_poses};
 use tiepoint_scene::{CorrespondenceGraph, ImageId, Reconstruction};
-use tiepoint_sfm::{CalibratedCamera, MappedModel, MapperOptions, RefineIntrinsics, RigMode, map};
+use tiepoint_sfm::{
+    CalibratedCamera, MappedModel, Mapper, MapperOptions, RefineIntrinsics, RigMode,
+};
 use tiepoint_synth::{
     ClockEffects, Drive, DriveOptions, Effects, FeatureOptions, FeatureScene, MatchOptions,
 };
@@ -103,10 +103,7 @@ struct Outcome {
 fn run(scene: &Scene, seed: u64, rig: RigMode) -> Option<Outcome> {
     let options =
         MapperOptions { refine: RefineIntrinsics::NONE, rig, seed, ..MapperOptions::default() };
-    let models =
-        map(&scene.graph, &scene.blank, &mut |_| Default::default(), &options, &mut |_| {
-            ControlFlow::Continue(())
-        });
+    let models = Mapper::new(&scene.graph, &scene.blank).run(&options);
     let MappedModel { reconstruction: model, rig, .. } = models.ok()?.into_iter().next()?;
     let held_out_px = rig.as_ref().map_or([f64::NAN; 2], |rig| [rig.error_off_px, rig.error_px]);
     let right = rig.and_then(|rig| rig.cameras.into_iter().next());

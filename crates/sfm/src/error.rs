@@ -25,6 +25,12 @@ pub enum Error {
         /// Images with a pose.
         images: usize,
     },
+    /// Both known rigs and an existing model give the scale.
+    #[error(
+        "known rigs and an existing model both give the scale: map with the rigs alone, or go on \
+        from the model without them"
+    )]
+    RigsOfExistingModel,
     /// An option is out of its range.
     #[error(transparent)]
     Option(#[from] tiepoint_geometry::OptionError),

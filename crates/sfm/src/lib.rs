@@ -1,5 +1,6 @@
 #![doc = include_str!("../README.md")]
 
+pub mod convert;
 mod diagnostics;
 mod error;
 mod event;
@@ -13,6 +14,7 @@ mod options;
 mod register;
 mod rigs;
 mod rolling_shutter;
+mod terms;
 mod timeline;
 mod tracks;
 mod two_view;
@@ -25,7 +27,7 @@ pub use error::Error;
 pub use event::{Event, Failure, OptionalStage};
 pub use frame_names::{natural_order, pairs_by_name};
 pub use mapped_model::MappedModel;
-pub use mapper::{Existing, extend, map, map_with_rigs};
+pub use mapper::{ExistingPoses, Mapper};
 pub use model_tools::{
     BoundingBox, MergeOutcome, ModelAlignment, Transferred, align_models, crop, merge_model,
     transfer_model,
@@ -34,13 +36,13 @@ pub use options::{MapperOptions, RigMode};
 pub use register::{Localization, QueryCamera, RegisterOptions, localize_image, register_image};
 pub use rigs::{
     BaselineLink, BaselineTerm, CalibratedCamera, CalibratedRig, ClockState, Descriptors,
-    ExtrinsicsCovariance, ReferencePose, ReferencedImage, RigConstraint, RigPair, RigPairs,
-    RigidCamera, SensorPair, SplitRepair, constrain_rigidly, final_links, frames_by_time,
+    ExtrinsicsCovariance, LinkWeights, ReferencePose, ReferencedImage, RigConstraint, RigPair,
+    RigPairs, RigidCamera, SensorPair, SplitRepair, constrain_rigidly, final_links, frames_by_time,
     growing_links, relative_poses, rig_candidates, rig_pairs, sensor_pairs,
 };
 pub use rolling_shutter::{Readout, RollingShutter, RowPoses, row_poses};
 pub use tiepoint_adjust as adjust;
-pub use tiepoint_adjust::{AdjustOptions, RefineIntrinsics, Scope, Term, adjust, fix_gauge};
+pub use tiepoint_adjust::{AdjustOptions, Gauge, RefineIntrinsics, Scope, Term, adjust, fix_gauge};
 pub use tiepoint_ba as ba;
 pub use tiepoint_geometry as geometry;
 pub use tiepoint_matching as matching;

@@ -11,9 +11,11 @@ use crate::rolling_shutter::{RollingShutter, RowPoses};
 pub struct MappedModel {
     /// Cameras, registered images and points; frames if the cameras are constrained rigidly.
     pub reconstruction: Reconstruction,
-    /// The initial pair; `None` for a model that was extended ([`crate::extend`]). With the paper's
-    /// rig term the first image is at the origin.
+    /// The initial pair; `None` for a model that went on from another one
+    /// ([`crate::Mapper::existing`]). With the paper's rig term the first image is at the origin.
     pub initial_pair: Option<ImagePair>,
+    /// Whether the model is in the frame of the terms ([`crate::Mapper::term`]).
+    pub is_in_frame_of_terms: bool,
     /// Result of the rig calibration; `None` without a rig term that calibrates, without images to
     /// constrain, or if the stage failed.
     pub rig: Option<CalibratedRig>,

@@ -3,6 +3,7 @@
 #![allow(clippy::unwrap_used)] // the lint knows test functions, not their helpers
 
 mod common;
+mod gauge;
 mod lens;
 mod options;
 mod selection;

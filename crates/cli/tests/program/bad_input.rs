@@ -106,7 +106,7 @@ fn two_sizes_in_one_camera() {
         );
     }
     tiepoint_in(dir.path(), "features {}/photos -o {}/ws --cameras none")
-        .failed(2, &["none", "auto, folder, image or single"]);
+        .failed(2, &["none", "auto, folder, image, single"]);
 }
 
 #[test]
@@ -161,7 +161,7 @@ fn wrong_command_lines() {
         let line = format!("match {{}}/ws --pairs {value}");
         wrong(&line, &[&format!("\"{value}\""), "use auto, exhaustive, sequential:N"]);
     }
-    wrong("reconstruct {} -o {}/ws --rig tight", &["tight", "rigid or auto"]);
+    wrong("reconstruct {} -o {}/ws --rig tight", &["tight", "rigid, auto"]);
     wrong("reconstruct {} -o {}/ws --redo all", &["no stage all", "features, match, map"]);
     wrong(
         "reconstruct {} -o {}/ws --intrinsics 1,2,3",

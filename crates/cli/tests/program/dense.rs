@@ -296,7 +296,7 @@ fn dense_uses_masks_and_writes_what_it_is_asked_for() {
             let extent = points.iter().map(|point| point.xyz.amax()).fold(0.0, f64::max);
             assert!(found["distance"]["mean"].as_f64().unwrap() < 1e-3 * extent, "{found}");
         } else {
-            run.failed(1, &["--features las", "fused.ply"]);
+            run.failed(1, &["the feature las", "fused.ply"]);
         }
     }
     // Other masks are another input.

@@ -50,7 +50,9 @@ fn folders_made_from_photos_are_no_cameras() {
         listed(&["images/0.png", "images/1.png", "masks/0.png.png", "depth/0.png", "depth/1.png"]);
     assert_eq!(names, ["images/0.png", "images/1.png"]);
     assert!(
-        notes.iter().any(|note| note.contains("masks: its images") && note.contains("--masks"))
+        notes
+            .iter()
+            .any(|note| note.contains("masks: its images") && note.contains("`features.masks`"))
     );
     assert!(notes.iter().any(|note| note.contains("depth: its images")), "{notes:?}");
     // A rig has equal names, and a camera may have any name; a depth camera's own images too.
@@ -109,7 +111,10 @@ fn a_photo_is_no_mask_of_its_own() {
     let dir = folder(&[("a.png", png(8, 8)), ("a_mask.png", png(8, 8))]);
     let error = ImageFolder::open(&[dir.path().to_owned()], Some(dir.path())).unwrap_err();
     let error = error.to_string();
-    assert!(error.contains("is the photo a.png itself") && error.contains("--masks"), "{error}");
+    assert!(
+        error.contains("is the photo a.png itself") && error.contains("`features.masks`"),
+        "{error}"
+    );
 }
 
 #[test]
@@ -129,5 +134,8 @@ fn photos_that_lost_their_time_are_named() {
     // No photo of the other folder has one.
     assert_eq!(notes.len(), 1, "{notes:?}");
     assert!(notes[0].starts_with("left: 1 of 5 photos has no time"), "{notes:?}");
-    assert!(notes[0].contains("left/x.png") && notes[0].contains("--timestamps"), "{notes:?}");
+    assert!(
+        notes[0].contains("left/x.png") && notes[0].contains("`features.timestamps`"),
+        "{notes:?}"
+    );
 }

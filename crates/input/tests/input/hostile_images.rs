@@ -121,7 +121,9 @@ fn the_limit_can_be_raised_to_the_largest_cameras_and_no_farther() {
     let (_dir, folder) = folder("a.tif", &claiming_tiff(17_000));
     let error = folder.info(0).unwrap_err().to_string();
     assert!(
-        error.contains("more than 256 million: if it is a photo, give --max-megapixels 289"),
+        error.contains(
+            "more than 256 million: if it is a photo, give `features.max_megapixels` 289"
+        ),
         "{error}"
     );
     assert_eq!(folder.clone().with_max_pixels(289_000_000).info(0).unwrap().width, 17_000);

@@ -9,12 +9,12 @@ use std::collections::BTreeMap;
 use tiepoint_io::database::Database;
 use tiepoint_io::gsplat;
 use tiepoint_io::nerfstudio::Motion;
+use tiepoint_sfm::convert::keypoint;
 use tiepoint_sfm::geometry::nalgebra::Vector2;
 use tiepoint_sfm::scene::{ImageId, Reconstruction};
 use tiepoint_sfm::{RowPoses, row_poses};
 
 use crate::Error;
-use crate::workspace::keypoints::keypoint;
 use crate::workspace::located_model::LocatedModel;
 
 /// The motion of the images of a model with rolling shutters.

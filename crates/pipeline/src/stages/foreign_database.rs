@@ -11,6 +11,7 @@ use std::path::{Path, PathBuf};
 use tiepoint_input::fingerprint::hash_files;
 use tiepoint_input::parallel::for_each_in_order;
 use tiepoint_io::database::{Database, read_stage_rows};
+use tiepoint_sfm::convert::keypoint;
 use tiepoint_sfm::geometry::nalgebra::Matrix3;
 use tiepoint_sfm::scene::{
     Camera, CameraId, Image, ImageId, ImagePair, Match, TwoView, TwoViewKind,
@@ -21,7 +22,6 @@ use tiepoint_store::{Error as StoreError, escaped};
 use crate::stages::option_keys;
 use crate::stages::stationary::Removal;
 use crate::stages::verification::{of_keypoints, verify};
-use crate::workspace::keypoints::keypoint;
 use crate::workspace::option_names;
 use crate::workspace::records::Recipe;
 use crate::workspace::report::{CameraReport, FeaturesReport, MatchReport};

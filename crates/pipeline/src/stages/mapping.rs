@@ -16,8 +16,8 @@ use tiepoint_sfm::scene::{
     Camera, CameraId, CorrespondenceGraph, Image, ImageId, Reconstruction, TwoViewKind,
 };
 use tiepoint_sfm::{
-    self as sfm, Existing, Failure, KnownRigs, MappedModel, MapperOptions, OptionalStage,
-    RefineIntrinsics, RigMode, VerifyOptions, rig_candidates, rig_pairs,
+    self as sfm, ExistingPoses, Failure, KnownRigs, MappedModel, Mapper, MapperOptions,
+    OptionalStage, RefineIntrinsics, RigMode, VerifyOptions, rig_candidates, rig_pairs,
 };
 
 use crate::stages::colors::color_points;
@@ -224,20 +224,23 @@ impl<'a> MapRequest<'a> {
         let mut notified = |event: &sfm::Event| {
             named_event(event, &name).map_or(ControlFlow::Continue(()), |event| watch(&event))
         };
-        let (options, notify) = (&self.options, &mut notified);
-        let mut models = match (&self.input_model, known_rigs) {
-            (None, None) => sfm::map(graph, scene, &mut descriptors, options, notify)
-                .map_err(|cause| without_depth(run.workspace, graph, cause))?,
-            (None, Some(rigs)) => {
-                sfm::map_with_rigs(graph, scene, rigs, &mut descriptors, options, notify)?
-            }
-            (Some(model), _) => {
-                let constant_poses = model.fix_existing_frames;
-                let existing = Existing { model: scene, constant_poses };
-                sfm::extend(graph, &existing, &mut descriptors, options, notify)
-                    .map_err(|cause| model.error(cause))?
-            }
-        };
+        let mut mapper =
+            Mapper::new(graph, scene).descriptors(&mut descriptors).watch(&mut notified);
+        if let Some(rigs) = known_rigs {
+            mapper = mapper.known_rigs(rigs);
+        }
+        if let Some(model) = &self.input_model {
+            mapper = mapper.existing(match model.fix_existing_frames {
+                true => ExistingPoses::Constant,
+                false => ExistingPoses::Refined,
+            });
+        }
+        let models = mapper.run(&self.options);
+        let mut models = models.map_err(|cause| match (&self.input_model, known_rigs) {
+            (Some(model), _) => model.error(cause),
+            (None, Some(_)) => cause.into(),
+            (None, None) => without_depth(run.workspace, graph, cause),
+        })?;
         if let Some(error) = unreadable {
             return Err(error.into());
         }
@@ -616,6 +619,7 @@ mod tests {
         };
         MappedModel {
             initial_pair: ImagePair::new(left, right),
+            is_in_frame_of_terms: false,
             rig: Some(CalibratedRig {
                 constraint: Some(constraint),
                 cameras: vec![camera],

@@ -11,6 +11,7 @@ use rayon::prelude::*;
 use tiepoint_input::parallel::for_each_in_order;
 use tiepoint_io::database::Database;
 use tiepoint_io::features::{DescriptorFormat, Features};
+use tiepoint_sfm::convert::keypoint;
 use tiepoint_sfm::geometry::Rng;
 use tiepoint_sfm::matching::{
     AutoPairs, Matcher, NearestNeighbours, PairSelection, PreparedImages,
@@ -25,7 +26,6 @@ use crate::stages::option_keys;
 use crate::stages::pair_choice::{self, IMAGES_READ_AT_ONCE, PairChoice};
 use crate::stages::stationary::Removal;
 use crate::stages::verification::{self, verify};
-use crate::workspace::keypoints::keypoint;
 use crate::workspace::option_names::PAIRS;
 use crate::workspace::records::Recipe;
 use crate::workspace::report::MatchReport;

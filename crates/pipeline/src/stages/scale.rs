@@ -210,6 +210,7 @@ mod tests {
         let mut models = [MappedModel {
             reconstruction: model.clone(),
             initial_pair: ImagePair::new(ImageId(0), ImageId(1)),
+            is_in_frame_of_terms: false,
             rig: Some(rig),
             shutters: Vec::new(),
             row_poses: BTreeMap::new(),

@@ -143,10 +143,7 @@ struct Verification<'a> {
 
 impl Verification<'_> {
     fn verify(&self, pair: ImagePair, matches: &[Match]) -> TwoView {
-        let view = |image: ImageId| ImageObservations {
-            keypoints: &self.scene.image(image).keypoints,
-            camera: self.scene.camera_of(image),
-        };
+        let view = |image: ImageId| ImageObservations::new(self.scene, image);
         verify(pair, view, matches, self.options, self.seed)
     }
 

@@ -1,6 +1,7 @@
 //! Pairs in the stages: the result of a matcher, the seed of a pair, and matches of keypoints that
 //! exist.
 
+use tiepoint_sfm::convert::matched;
 use tiepoint_sfm::geometry::Rng;
 use tiepoint_sfm::matching::{self, PreparedImages};
 use tiepoint_sfm::scene::{ImageId, ImagePair, Match, TwoView};
@@ -24,7 +25,7 @@ pub(crate) fn match_pairs(
         return Err(Error::InvalidMatches { pairs: pairs.len(), lists: found.len() });
     }
     let of_pair = |(pair, found): (&ImagePair, Vec<matching::Match>)| {
-        let matches: Vec<Match> = found.iter().map(|m| Match { a: m.a, b: m.b }).collect();
+        let matches: Vec<Match> = found.iter().map(matched).collect();
         let counts = [pair.a, pair.b].map(&num_keypoints);
         match matches.iter().find(|m| m.a as usize >= counts[0] || m.b as usize >= counts[1]) {
             None => Ok(matches),

@@ -1,10 +1,10 @@
 //! The scene of a database.
 
 use tiepoint_io::database::Database;
+use tiepoint_sfm::convert::keypoint;
 use tiepoint_sfm::scene::{Image, ImageId, Reconstruction};
 
 use crate::Error;
-use crate::workspace::keypoints::keypoint;
 
 /// The scene of a database without poses. Cameras and images have the order of the database.
 ///

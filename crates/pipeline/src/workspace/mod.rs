@@ -6,7 +6,6 @@ pub(crate) mod file_names;
 pub(crate) mod folder;
 pub(crate) mod format;
 pub(crate) mod image_names;
-pub(crate) mod keypoints;
 pub(crate) mod located_model;
 pub(crate) mod model_output;
 pub(crate) mod model_photos;

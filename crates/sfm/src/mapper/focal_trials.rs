@@ -1,12 +1,14 @@
 //! Selection of focal lengths by trial models, for cameras whose focal length neither the user nor
 //! EXIF nor the image pairs determine.
 
+use std::collections::BTreeSet;
 use std::ops::ControlFlow;
 
 use tiepoint_adjust::RefineIntrinsics;
 use tiepoint_scene::{CameraId, CorrespondenceGraph, Reconstruction};
 
-use super::growth::Mapper;
+use super::growth::Growth;
+use super::input::Input;
 use super::support::support;
 use crate::options::MapperOptions;
 use crate::two_view::with_focal;
@@ -37,13 +39,13 @@ pub(super) fn choose_focal_lengths(
     }
     let options = &MapperOptions { refine: RefineIntrinsics::NONE, ..*options };
     let support = |scene: &Reconstruction| -> f64 {
-        let mut mapper = Mapper::new(graph, scene, options);
-        mapper.max_images = Some(MAX_TRIAL_IMAGES);
+        let input = Input::of_trial(graph, scene, options);
+        let mut trial = Growth::trial(input, BTreeSet::new(), MAX_TRIAL_IMAGES);
         // A hypothesis that cannot initialise a model has no support. A failed trial counts with
         // the images that it registered.
         let watch = &mut |_: &_| ControlFlow::Continue(());
-        let _ = mapper.initialise(&mapper.candidates(), watch).and_then(|_| mapper.grow(watch));
-        support(&mapper.solution.model).0
+        let _ = trial.initialise(&trial.candidates(), watch).and_then(|_| trial.grow(watch));
+        support(trial.model()).0
     };
     let with = |scene: &Reconstruction, relative: f64| {
         let mut changed = scene.clone();

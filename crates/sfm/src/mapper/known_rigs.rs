@@ -9,33 +9,31 @@ use tiepoint_geometry::numeric::median;
 use tiepoint_geometry::{Rigid3, Sim3};
 use tiepoint_scene::{Frame, ImageId, KnownFrame, KnownRigs, Reconstruction, Rig};
 
-use super::growth::Mapper;
+use super::growth::Growth;
 use super::refinement_schedule::RefinementSchedule;
+use super::refiner::Refiner;
 use crate::Error;
 use crate::event::Watch;
-use crate::tracks::triangulate_image;
 
 /// Maximum angle between known and estimated rotations and between known and estimated directions
 /// of two images of a frame (20°). A random direction is within it with a probability of 3 %, a
 /// random rotation with 0.05 %; known extrinsics are off by far less.
 const MAX_ANGLE_RAD: f64 = 0.35;
 
-impl Mapper<'_> {
+impl Growth<'_> {
     /// Gives the model the scale, the rigs and the frames of the known rigs, as soon as the
     /// registered images determine the scale. Frames with a registered image are registered.
     pub(super) fn start_frames(&mut self, watch: &mut Watch) -> Result<(), Error> {
-        let Some(known) = self.known_rigs else { return Ok(()) };
-        if !self.solution.model.rigs.is_empty() {
+        let Some(known) = self.refiner.input.known_rigs else { return Ok(()) };
+        if !self.model().rigs.is_empty() {
             return Ok(());
         }
         let Some(units_per_metre) = self.units_of_rigs(known) else { return Ok(()) };
-        let model = &mut self.solution.model;
+        let model = &mut self.refiner.solution.model;
         model.transform(&Sim3 { scale: 1.0 / units_per_metre, ..Sim3::identity() });
         model.rigs.clone_from(&known.rigs);
-        let frames: Vec<KnownFrame> = self.next_best_view.frames().iter().cloned().collect();
         let mut added = Vec::new();
-        for frame in &frames {
-            let model = &self.solution.model;
+        for frame in self.next_best_view.frames().iter() {
             let is_registered = |image: &&ImageId| model.image(**image).cam_from_world().is_some();
             // The image with the most points has the most certain pose.
             let most = frame.images.iter().filter(is_registered).max_by_key(|image| {
@@ -43,12 +41,10 @@ impl Mapper<'_> {
             });
             let Some(&most) = most else { continue };
             added.extend(frame.images.iter().filter(|image| !is_registered(image)).copied());
-            self.compose_frame(frame, most);
+            compose_frame(model, frame, most);
         }
-        for &image in &added {
-            triangulate_image(self.graph, &mut self.solution.model, image, &self.options.tracks);
-        }
-        self.refine_globally(&RefinementSchedule::GROWING, watch)?;
+        added.iter().for_each(|image| self.triangulate(*image));
+        self.refiner.refine_globally(&RefinementSchedule::GROWING, watch)?;
         added.into_iter().try_for_each(|image| self.report(image, watch))
     }
 
@@ -56,7 +52,7 @@ impl Mapper<'_> {
     /// images of a frame; `None` without one that agrees with the known relative pose. Rigs whose
     /// cameras have one centre fit any scale.
     fn units_of_rigs(&self, known: &KnownRigs) -> Option<f64> {
-        let model = &self.solution.model;
+        let model = self.model();
         let frames = self.next_best_view.frames();
         let mut has_baseline = false;
         let mut ratios = Vec::new();
@@ -79,33 +75,34 @@ impl Mapper<'_> {
         }
         if has_baseline { median(&mut ratios) } else { Some(1.0) }
     }
+}
 
-    /// Registers the images of a frame at the poses that one of them and the rig give.
-    fn compose_frame(&mut self, frame: &KnownFrame, image: ImageId) {
-        let model = &mut self.solution.model;
-        let Some(rig) = model.rigs.get(frame.rig.index()).cloned() else { return };
-        let cam_from_rig =
-            |image: ImageId, model: &Reconstruction| rig.cam_from_rig(model.image(image).camera);
-        let Some(of_image) = cam_from_rig(image, model) else { return };
-        let Some(&cam_from_world) = model.image(image).cam_from_world() else { return };
-        let rig_from_world = of_image.inverse() * cam_from_world;
-        for &other in &frame.images {
-            if let Some(of_other) = cam_from_rig(other, model) {
-                model.register(other, of_other * rig_from_world);
-            }
-        }
-        model.frames.push(Frame { rig: frame.rig, rig_from_world, images: frame.images.clone() });
-    }
-
-    /// Composes the poses of all frames again after their images were moved one by one. The first
-    /// image of each frame keeps its pose.
-    pub(super) fn restore_frames(&mut self, frames: Vec<Frame>) {
-        for Frame { rig, images, .. } in frames {
-            let Some(&first) = images.first() else { continue };
-            self.compose_frame(&KnownFrame { rig, images }, first);
+/// Registers the images of a frame at the poses that one of them and the rig give.
+fn compose_frame(model: &mut Reconstruction, frame: &KnownFrame, image: ImageId) {
+    let Some(rig) = model.rigs.get(frame.rig.index()).cloned() else { return };
+    let cam_from_rig =
+        |image: ImageId, model: &Reconstruction| rig.cam_from_rig(model.image(image).camera);
+    let Some(of_image) = cam_from_rig(image, model) else { return };
+    let Some(&cam_from_world) = model.image(image).cam_from_world() else { return };
+    let rig_from_world = of_image.inverse() * cam_from_world;
+    for &other in &frame.images {
+        if let Some(of_other) = cam_from_rig(other, model) {
+            model.register(other, of_other * rig_from_world);
         }
     }
+    model.frames.push(Frame { rig: frame.rig, rig_from_world, images: frame.images.clone() });
+}
 
+/// Composes the poses of all frames again after their images were moved one by one. The first image
+/// of each frame keeps its pose.
+pub(super) fn restore_frames(model: &mut Reconstruction, frames: Vec<Frame>) {
+    for Frame { rig, images, .. } in frames {
+        let Some(&first) = images.first() else { continue };
+        compose_frame(model, &KnownFrame { rig, images }, first);
+    }
+}
+
+impl Refiner<'_> {
     /// Ends the work on known rigs: the scale of the model becomes theirs.
     ///
     /// # Errors
@@ -120,9 +117,11 @@ impl Mapper<'_> {
     }
 
     /// Scales a model with refined extrinsics so that the root mean square distance of the cameras
-    /// from their reference camera is the known one: bundle adjustment leaves the scale open.
+    /// from their reference camera is the known one: bundle adjustment leaves the scale open,
+    /// unless the model is in the frame of terms.
     fn restore_scale(&mut self) {
-        let Some(known) = self.known_rigs.filter(|known| known.refine_extrinsics) else { return };
+        let known = self.input.known_rigs.filter(|known| known.refine_extrinsics);
+        let Some(known) = known.filter(|_| !self.solution.is_in_frame_of_terms) else { return };
         let model = &mut self.solution.model;
         let squared = |rigs: &[Rig]| -> f64 {
             let sensors = rigs.iter().flat_map(|rig| rig.sensors.iter().skip(1));

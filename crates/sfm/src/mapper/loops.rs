@@ -3,8 +3,9 @@
 use rayon::prelude::*;
 use tiepoint_scene::ImagePair;
 
-use super::growth::Mapper;
+use super::known_rigs::restore_frames;
 use super::refinement_schedule::RefinementSchedule;
+use super::refiner::Refiner;
 use crate::Error;
 use crate::event::{Event, Watch, notify};
 use crate::loop_closure::{
@@ -15,12 +16,12 @@ use crate::loop_closure::{
 /// Maximum number of closures. One open loop can hide another.
 const MAX_CLOSURES: usize = 3;
 
-impl Mapper<'_> {
+impl Refiner<'_> {
     /// Closes loops that drift left open ([`crate::loop_closure`]).
     pub(super) fn close_loops(&mut self, watch: &mut Watch) -> Result<(), Error> {
         for _ in 0..MAX_CLOSURES {
             let ClassifiedPairs { open_loop, covisibility } =
-                classify_pairs(self.graph, &self.solution.model);
+                classify_pairs(self.input.graph, &self.solution.model);
             let loop_constraints = self.loop_constraints(&open_loop, &covisibility);
             if loop_constraints.len() < MIN_PAIRS {
                 break;
@@ -29,10 +30,11 @@ impl Mapper<'_> {
                 loop_constraints.iter().map(|loop_constraint| loop_constraint.pair).collect();
             // On failure drift is not the cause. With wrong pairs or a wrong lens model, the
             // closure may leave nothing to adjust.
-            let closed = self.transaction(|mapper| {
-                let before = mapper.solution.model.clone();
-                mapper.close_loop(&covisibility, &loop_constraints, watch)?;
-                if is_closed(mapper.graph, &mapper.solution.model, &before, &open_loop) {
+            let closed = self.transaction(|refiner| {
+                let before = refiner.solution.model.clone();
+                refiner.close_loop(&covisibility, &loop_constraints, watch)?;
+                let after = &refiner.solution.model;
+                if is_closed(refiner.input.graph, after, &before, &open_loop) {
                     Ok(())
                 } else {
                     Err(Error::LoopNotClosed { pairs: open_loop.len() })
@@ -53,13 +55,14 @@ impl Mapper<'_> {
         open_loop: &[ImagePair],
         covisibility: &CovisibilityGraph,
     ) -> Vec<LoopConstraint> {
+        let (input, model) = (self.input, &self.solution.model);
         let loop_constraint = |pair: &ImagePair| {
-            let seed = self.seed_of(&[pair.a.0.into(), pair.b.0.into()]);
-            LoopConstraint::new(&self.solution.model, *pair, self.graph.pairs().get(pair)?, seed)
+            let seed = input.seed_of(&[pair.a.0.into(), pair.b.0.into()]);
+            LoopConstraint::new(model, *pair, input.graph.pairs().get(pair)?, seed)
         };
         let loop_constraints: Vec<LoopConstraint> =
             open_loop.par_iter().filter_map(loop_constraint).collect();
-        consistent_set(&self.solution.model, &loop_constraints, covisibility)
+        consistent_set(model, &loop_constraints, covisibility)
     }
 
     /// Distributes the drift, merges the matched points and refines the model.
@@ -72,9 +75,9 @@ impl Mapper<'_> {
         // The images are moved one by one.
         let frames = std::mem::take(&mut self.solution.model.frames);
         distribute_drift(&mut self.solution.model, covisibility, loop_constraints)?;
-        self.restore_frames(frames);
+        restore_frames(&mut self.solution.model, frames);
         merge_matched_points(
-            self.graph,
+            self.input.graph,
             &mut self.solution.model,
             loop_constraints.iter().map(|loop_constraint| loop_constraint.pair),
         );
@@ -84,13 +87,15 @@ impl Mapper<'_> {
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeSet;
     use std::ops::ControlFlow;
 
     use tiepoint_scene::{ImageId, Match, TwoView, TwoViewKind};
     use tiepoint_synth::MatchOptions;
 
     use super::*;
-    use crate::mapper::solution::Solution;
+    use crate::mapper::growth::Growth;
+    use crate::mapper::input::Input;
     use crate::mapper::test_scene::scene;
     use crate::options::MapperOptions;
     use tiepoint_adjust::RefineIntrinsics;
@@ -102,12 +107,14 @@ mod tests {
         let graph = scene.graph(&MatchOptions::default());
         let options = MapperOptions { refine: RefineIntrinsics::NONE, ..MapperOptions::default() };
         let blank = scene.without_poses();
-        let mut mapper = Mapper::new(&graph, &blank, &options);
+        let input = Input::of_trial(&graph, &blank, &options);
+        let refiner = Refiner::new(input, blank.clone(), Vec::new());
+        let mut growth = Growth::new(refiner, BTreeSet::new());
         let watch = &mut |_: &Event| ControlFlow::Continue(());
-        let candidates = mapper.candidates();
-        mapper.initialise(&candidates, watch).expect("an easy scene");
-        mapper.grow(watch).expect("an easy scene");
-        let model = mapper.solution.model.clone();
+        let candidates = growth.candidates();
+        growth.initialise(&candidates, watch).expect("an easy scene");
+        growth.grow(watch).expect("an easy scene");
+        let model = growth.model().clone();
 
         let seen = |id: ImageId| -> Vec<u32> {
             (0..).zip(model.image(id).points()).filter_map(|(k, point)| point.map(|_| k)).collect()
@@ -119,12 +126,10 @@ mod tests {
             (pair, TwoView { kind: TwoViewKind::Uncalibrated, matches, ..TwoView::default() })
         });
         let graph = graph.extended(wrong);
-        let mut mapper = Mapper {
-            solution: Solution::new(model.clone()),
-            ..Mapper::new(&graph, &blank, &options)
-        };
+        let input = Input::of_trial(&graph, &blank, &options);
+        let mut refiner = Refiner::new(input, model.clone(), Vec::new());
         assert!(!classify_pairs(&graph, &model).open_loop.is_empty());
-        mapper.close_loops(watch).expect("no reason to end the run");
-        assert!(mapper.solution.model == model);
+        refiner.close_loops(watch).expect("no reason to end the run");
+        assert!(refiner.solution.model == model);
     }
 }

@@ -1,19 +1,25 @@
 //! The incremental mapper.
 
+mod existing;
 mod extend;
 mod focal_trials;
 mod growth;
 mod incremental;
+mod input;
 mod known_rigs;
 mod loops;
+mod merge;
 mod refinement_schedule;
+mod refiner;
+mod run;
 mod solution;
 mod stages;
 mod start;
 mod support;
+mod term_frame;
 #[cfg(test)]
 mod test_scene;
 mod transaction;
 
-pub use extend::{Existing, extend};
-pub use incremental::{map, map_with_rigs};
+pub use existing::ExistingPoses;
+pub use run::Mapper;

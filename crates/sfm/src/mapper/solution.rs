@@ -1,4 +1,4 @@
-use tiepoint_scene::Reconstruction;
+use tiepoint_scene::{ImagePair, Reconstruction};
 
 use crate::rigs::CalibratedRig;
 use crate::rolling_shutter::RollingShutters;
@@ -7,17 +7,40 @@ use crate::rolling_shutter::RollingShutters;
 #[derive(Clone)]
 pub(super) struct Solution {
     pub(super) model: Reconstruction,
-    /// Noise scale of the keypoints as a multiple of their nominal standard deviation; set when all
-    /// images are registered.
-    pub(super) noise: Option<f64>,
+    pub(super) phase: Phase,
+    /// The initial pair; `None` for a model that goes on from another one.
+    pub(super) initial_pair: Option<ImagePair>,
+    /// Whether the model is in the frame of the caller's terms.
+    pub(super) is_in_frame_of_terms: bool,
     /// Rolling shutters; `None` if they are not asked for, or could not be estimated.
     pub(super) shutters: Option<RollingShutters>,
     pub(super) num_loop_pairs: usize,
     pub(super) rig: Option<CalibratedRig>,
 }
 
+/// Phase of the construction.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Phase {
+    /// Images are being registered. The residuals show the errors of the poses, not the noise of
+    /// the keypoints.
+    Growing,
+    /// All images are registered.
+    Complete {
+        /// Noise scale of the keypoints as a multiple of their nominal standard deviation.
+        noise: f64,
+    },
+}
+
 impl Solution {
     pub(super) fn new(model: Reconstruction) -> Self {
-        Self { model, noise: None, shutters: None, num_loop_pairs: 0, rig: None }
+        Self {
+            model,
+            phase: Phase::Growing,
+            initial_pair: None,
+            is_in_frame_of_terms: false,
+            shutters: None,
+            num_loop_pairs: 0,
+            rig: None,
+        }
     }
 }

@@ -1,15 +1,15 @@
 //! Stages that follow the growth of a model, in a list.
 
-use tiepoint_scene::ImagePair;
-
-use super::growth::Mapper;
+use super::input::Input;
 use super::refinement_schedule::RefinementSchedule;
+use super::refiner::Refiner;
 use super::solution::Solution;
+use super::term_frame::active;
 use crate::Error;
 use crate::event::{Event, Failure, OptionalStage, Watch, notify};
 use crate::mapped_model::MappedModel;
 use crate::options::RigMode;
-use crate::rigs::{Context, Descriptors, constrain_rig, final_links};
+use crate::rigs::{Context, Descriptors, LinkWeights, constrain_rig};
 use crate::rolling_shutter::{RollingShutters, row_poses};
 
 /// Rounds of rolling-shutter correction and refinement in the last correction stage.
@@ -61,34 +61,19 @@ impl Stage {
     }
 }
 
-impl Mapper<'_> {
-    /// Maps one connected component.
-    pub(super) fn run(
-        mut self,
-        descriptors: &mut Descriptors,
-        watch: &mut Watch,
-    ) -> Result<MappedModel, Error> {
-        let candidates = self.candidates();
-        let initial_pair = match self.best_initial_pair(&candidates) {
-            Some(pair) => self.initialise(&[pair], watch)?,
-            None => self.initialise(&candidates, watch)?,
-        };
-        self.grow(watch)?;
-        self.run_stages(Some(initial_pair), descriptors, watch)
-    }
-
+impl Refiner<'_> {
     /// Runs the stages that follow growth. Of a model with constant poses only the refinements run,
     /// because the others move poses.
     pub(super) fn run_stages(
         mut self,
-        initial_pair: Option<ImagePair>,
         descriptors: &mut Descriptors,
         watch: &mut Watch,
     ) -> Result<MappedModel, Error> {
+        let readout = self.input.options.readout;
         self.solution.shutters =
-            self.options.readout.map(|readout| RollingShutters::new(&self.solution.model, readout));
+            readout.map(|readout| RollingShutters::new(&self.solution.model, readout));
         let mut failures = Vec::new();
-        let constant_poses = self.constant_poses.is_some();
+        let constant_poses = self.constant_poses().is_some();
         let stages = STAGES.into_iter().filter(|stage| !constant_poses || !stage.moves_poses());
         for stage in stages {
             let Some(optional) = stage.optional() else {
@@ -96,7 +81,7 @@ impl Mapper<'_> {
                 continue;
             };
             if let Err(error) =
-                self.transaction(|mapper| mapper.run_stage(stage, descriptors, watch))?
+                self.transaction(|refiner| refiner.run_stage(stage, descriptors, watch))?
             {
                 let failure = Failure { stage: optional, why: error.to_string() };
                 notify(watch, &Event::Failed(failure.clone()))?;
@@ -106,7 +91,15 @@ impl Mapper<'_> {
                 }
             }
         }
-        let Solution { model, shutters, num_loop_pairs, rig, .. } = self.solution;
+        let Solution {
+            model,
+            initial_pair,
+            is_in_frame_of_terms,
+            shutters,
+            num_loop_pairs,
+            rig,
+            ..
+        } = self.solution;
         let is_used = |camera| model.registered().any(|(_, image, _)| image.camera == camera);
         let mut shutters = shutters.map_or(Vec::new(), |shutters| shutters.get().to_vec());
         shutters.retain(|shutter| is_used(shutter.camera));
@@ -114,6 +107,7 @@ impl Mapper<'_> {
         Ok(MappedModel {
             reconstruction: model,
             initial_pair,
+            is_in_frame_of_terms,
             rig,
             shutters,
             row_poses,
@@ -130,7 +124,7 @@ impl Mapper<'_> {
     ) -> Result<(), Error> {
         match stage {
             Stage::Refine(schedule) => {
-                self.estimate_noise();
+                self.complete();
                 self.refine_globally(&schedule, watch)
             }
             Stage::RollingShutter { is_last } => self.rectify_shutters(is_last, watch),
@@ -139,29 +133,42 @@ impl Mapper<'_> {
                 self.restore_gauge();
                 Ok(())
             }
-            Stage::Rig => match self.options.rig {
-                _ if self.known_rigs.is_some() => self.finish_known_rigs(),
+            Stage::Rig => match self.input.options.rig {
+                _ if self.input.known_rigs.is_some() => self.finish_known_rigs(),
                 RigMode::Off => Ok(()),
                 RigMode::Paper => {
-                    let links = final_links(&self.solution.model, self.rig_pairs);
-                    self.adjust_globally(&links, &RefinementSchedule::FINAL, watch).map(|_| ())
+                    self.baselines.weights = LinkWeights::Final;
+                    self.adjust_globally(&RefinementSchedule::FINAL, watch).map(|_| ())
                 }
                 RigMode::Soft | RigMode::Rigid | RigMode::Auto => self.constrain_rig(descriptors),
             },
         }
     }
 
+    /// Moves the model such that the existing images are closest to their first poses, unless it is
+    /// in the frame of terms.
+    fn restore_gauge(&mut self) {
+        let existing = self.existing.filter(|_| !self.solution.is_in_frame_of_terms);
+        let model = &mut self.solution.model;
+        if let Some(similarity) = existing.and_then(|it| it.existing_from_model(model)) {
+            model.transform(&similarity);
+        }
+    }
+
     /// Estimates the rig of the finished model and constrains its cameras.
     pub(super) fn constrain_rig(&mut self, descriptors: &mut Descriptors) -> Result<(), Error> {
-        let context = Context {
-            graph: self.graph,
-            tracks: &self.options.tracks,
-            filter: &self.options.filter,
+        self.move_to_frame_of_terms();
+        let Input { graph, options, .. } = self.input;
+        let context = &mut Context {
+            graph,
+            tracks: &options.tracks,
+            filter: &options.filter,
             adjust: self.adjust_options(&RefinementSchedule::RIG),
-            seed: self.options.seed,
+            terms: active(&mut self.terms, &self.solution),
+            seed: options.seed,
         };
         self.solution.rig =
-            constrain_rig(&context, &mut self.solution.model, self.options.rig, descriptors)?;
+            constrain_rig(context, &mut self.solution.model, options.rig, descriptors)?;
         Ok(())
     }
 
@@ -175,15 +182,16 @@ impl Mapper<'_> {
         };
         let (options, before) =
             (self.adjust_options(schedule), self.solution.model.num_registered());
-        shutters.estimate(&mut self.solution.model, &options)?;
+        let terms = &mut active(&mut self.terms, &self.solution);
+        shutters.estimate(&mut self.solution.model, &options, terms)?;
         if is_last {
-            shutters.estimate_standard_deviations(&self.solution.model, &options)?;
+            shutters.estimate_standard_deviations(&self.solution.model, &options, terms)?;
         }
         for round in 0..rounds {
             if round > 0 {
                 shutters.rectify(&mut self.solution.model);
             }
-            self.estimate_noise();
+            self.complete();
             self.refine_globally(schedule, watch)?;
         }
         let after = self.solution.model.num_registered();

@@ -2,17 +2,19 @@
 
 use std::ops::ControlFlow;
 
-use tiepoint_adjust::{RefineIntrinsics, Scope, adjust, keep_going};
+use tiepoint_adjust::{RefineIntrinsics, Scope};
 use tiepoint_geometry::Rigid3;
 use tiepoint_scene::{ImageId, ImagePair};
 
-use super::growth::Mapper;
+use super::growth::Growth;
+use super::input::Input;
 use super::refinement_schedule::RefinementSchedule;
+use super::solution::Solution;
 use super::support::support;
 use crate::Error;
 use crate::event::{Event, Watch, notify};
 use crate::options::MapperOptions;
-use crate::tracks::{filter_all_points, triangulate_image};
+use crate::tracks::filter_all_points;
 use crate::two_view::{InitialPair, estimate_relative_pose, initial_pairs};
 
 /// Maximum number of initial pairs that are tried.
@@ -25,41 +27,39 @@ const MAX_TRIAL_MODELS: usize = 6;
 /// A trial model with this relative support is accepted at once. Its rms error is below 0.5 px.
 const ACCEPTED_SUPPORT: f64 = 0.94;
 
-impl Mapper<'_> {
+impl Growth<'_> {
     /// Returns the candidate pairs, best first.
     pub(super) fn candidates(&self) -> Vec<InitialPair> {
-        let is_free = |pair: ImagePair| {
-            !self.mapped_images.contains(&pair.a) && !self.mapped_images.contains(&pair.b)
-        };
-        let max_error_px = self.options.filter.max_error_px;
-        initial_pairs(self.graph, &self.solution.model, &is_free, max_error_px, MAX_CANDIDATES)
+        let mapped = &self.mapped_images;
+        let is_free = |pair: ImagePair| !mapped.contains(&pair.a) && !mapped.contains(&pair.b);
+        let Input { graph, options, .. } = self.refiner.input;
+        let max_error_px = options.filter.max_error_px;
+        initial_pairs(graph, self.model(), &is_free, max_error_px, MAX_CANDIDATES)
     }
 
     /// Returns the candidate whose trial model has the largest support. Repeated texture gives
     /// pairs that are consistent with wrong depths; only further images reveal them. Candidates
     /// near to a tried pair are skipped.
     pub(super) fn best_initial_pair(&self, candidates: &[InitialPair]) -> Option<InitialPair> {
-        let options = &MapperOptions { refine: RefineIntrinsics::NONE, ..*self.options };
+        let Input { graph, scene, options, .. } = self.refiner.input;
+        let options = &MapperOptions { refine: RefineIntrinsics::NONE, ..*options };
+        let input = Input::of_trial(graph, scene, options);
         let mut tried: Vec<ImageId> = Vec::new();
         let mut best: Option<(f64, InitialPair)> = None;
         for candidate in candidates {
             let images = [candidate.pair.a, candidate.pair.b];
-            let is_near = |a: ImageId, b: ImageId| a == b || self.graph.neighbours(a).contains(&b);
+            let is_near = |a: ImageId, b: ImageId| a == b || graph.neighbours(a).contains(&b);
             if tried.iter().any(|&other| images.iter().any(|&image| is_near(image, other))) {
                 continue;
             }
-            let mut trial = Mapper {
-                mapped_images: self.mapped_images.clone(),
-                max_images: Some(MAX_TRIAL_IMAGES),
-                ..Mapper::new(self.graph, &self.solution.model, options)
-            };
+            let mut trial = Growth::trial(input, self.mapped_images.clone(), MAX_TRIAL_IMAGES);
             if trial.initialise(&[*candidate], &mut |_| ControlFlow::Continue(())).is_err() {
                 continue;
             }
             // A failed trial counts with the images that it registered.
             let _ = trial.grow(&mut |_| ControlFlow::Continue(()));
             tried.extend(images);
-            let (score, relative_support) = support(&trial.solution.model);
+            let (score, relative_support) = support(trial.model());
             if best.as_ref().is_none_or(|(most, _)| score > *most) {
                 best = Some((score, *candidate));
             }
@@ -76,43 +76,34 @@ impl Mapper<'_> {
         candidates: &[InitialPair],
         watch: &mut Watch,
     ) -> Result<ImagePair, Error> {
-        let start = self.solution.model.clone();
+        let Input { graph, options, .. } = self.refiner.input;
+        let start = self.model().clone();
         let mut most = 0;
         for candidate in candidates.iter().take(MAX_INITIAL_PAIRS) {
             let pair = candidate.pair;
-            let seed = self.seed_of(&[u64::from(pair.a.0), u64::from(pair.b.0)]);
-            let Some(cam2_from_cam1) =
-                estimate_relative_pose(self.graph, &self.solution.model, pair, seed)
-            else {
+            let seed = self.refiner.input.seed_of(&[u64::from(pair.a.0), u64::from(pair.b.0)]);
+            let Some(cam2_from_cam1) = estimate_relative_pose(graph, &start, pair, seed) else {
                 continue;
             };
-            self.solution.model.register(pair.a, Rigid3::identity());
-            self.solution.model.register(pair.b, cam2_from_cam1);
-            self.initial = Some(pair);
-            triangulate_image(self.graph, &mut self.solution.model, pair.a, &self.options.tracks);
-            let options = self.adjust_options(&RefinementSchedule::INITIAL);
-            let adjusted = adjust(
-                &mut self.solution.model,
-                &Scope::Global,
-                &options,
-                &mut [],
-                &mut keep_going,
-            );
-            filter_all_points(&mut self.solution.model, &self.options.filter);
-            most = most.max(self.solution.model.num_tracks());
-            if adjusted.is_ok()
-                && self.solution.model.num_tracks() >= self.options.min_initial_inliers
-            {
-                let num_points = self.solution.model.num_tracks();
+            let solution = &mut self.refiner.solution;
+            *solution = Solution { initial_pair: Some(pair), ..Solution::new(start.clone()) };
+            solution.model.register(pair.a, Rigid3::identity());
+            solution.model.register(pair.b, cam2_from_cam1);
+            self.triangulate(pair.a);
+            let adjusted = self.refiner.adjust(&Scope::Global, &RefinementSchedule::INITIAL);
+            filter_all_points(&mut self.refiner.solution.model, &options.filter);
+            let num_points = self.model().num_tracks();
+            most = most.max(num_points);
+            if adjusted.is_ok() && num_points >= options.min_initial_inliers {
                 notify(watch, &Event::Initialised { image1: pair.a, image2: pair.b, num_points })?;
                 return Ok(pair);
             }
-            self.solution.model = start.clone();
         }
+        self.refiner.solution = Solution::new(start);
         Err(Error::NoInitialPair {
-            verified: self.graph.pairs().len(),
+            verified: graph.pairs().len(),
             best_inliers: most,
-            required: self.options.min_initial_inliers,
+            required: options.min_initial_inliers,
         })
     }
 }

@@ -1,7 +1,7 @@
-use super::growth::Mapper;
+use super::refiner::Refiner;
 use crate::Error;
 
-impl Mapper<'_> {
+impl Refiner<'_> {
     /// Runs `work` and restores the solution if it fails. The error of `work` is the inner one;
     /// [`Error::Cancelled`] is the outer one.
     pub(super) fn transaction<T>(

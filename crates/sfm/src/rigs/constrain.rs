@@ -40,6 +40,7 @@ use super::sigma_selection::{ConstrainedModel, SigmaSelection};
 use super::solution::{CalibratedCamera, CalibratedRig, SplitRepair};
 use crate::Error;
 use crate::options::RigMode;
+use crate::terms::reborrow;
 use crate::tracks::hold_out_tracks;
 
 /// Fraction of the tracks that are held out until the last refinement.
@@ -60,7 +61,7 @@ const MAX_CLOCK_SD_S: f64 = 0.02;
 ///
 /// Fails if an adjustment fails.
 pub(crate) fn constrain_rig(
-    context: &Context,
+    context: &mut Context,
     model: &mut Reconstruction,
     mode: RigMode,
     descriptors: &mut Descriptors,
@@ -79,7 +80,8 @@ pub(crate) fn constrain_rig(
         return context.refine_and_report(model, found, Some(split)).map(Some);
     }
     let graph = context.graph.extended(two_views);
-    let context = Context { graph: &graph, ..*context };
+    let terms = reborrow(&mut context.terms);
+    let context = &mut Context { graph: &graph, terms, ..*context };
     *model = repaired.clone();
     context.refine(model, &mut all_extrinsics.clone(), MERGE_ERROR_FACTOR)?;
     match context.find_constraint(model, mode)? {
@@ -103,7 +105,7 @@ impl Context<'_> {
     /// Finds the constraint for the cameras of a model; `None` if there are no images to constrain.
     /// The model is left in an intermediate state.
     fn find_constraint(
-        &self,
+        &mut self,
         model: &mut Reconstruction,
         mode: RigMode,
     ) -> Result<Option<ConstraintSearch>, Error> {
@@ -161,7 +163,7 @@ impl Context<'_> {
 
     /// Refines the selected model with all its tracks, and reports the calibrated cameras.
     fn refine_and_report(
-        &self,
+        &mut self,
         model: &mut Reconstruction,
         found: ConstraintSearch,
         split: Option<SplitRepair>,
@@ -176,14 +178,17 @@ impl Context<'_> {
             None => *model = off,
         }
         hold_out_tracks(model, 0.0, self.seed);
-        let all =
-            Context { adjust: AdjustOptions { select_tracks: false, ..self.adjust }, ..*self };
-        all.refine(model, &mut all_extrinsics, 1.0)?;
+        let adjust = AdjustOptions { select_tracks: false, ..self.adjust };
+        Context { adjust, terms: reborrow(&mut self.terms), ..*self }.refine(
+            model,
+            &mut all_extrinsics,
+            1.0,
+        )?;
         add_frames(model, &all_extrinsics);
         let (mut cameras, mut bad_pairs) = (Vec::new(), Vec::new());
-        for (extrinsics, covariance) in
-            all_extrinsics.iter().zip(extrinsics_covariances(model, &self.adjust, &all_extrinsics)?)
-        {
+        let covariances =
+            extrinsics_covariances(model, &self.adjust, &all_extrinsics, &mut self.terms)?;
+        for (extrinsics, covariance) in all_extrinsics.iter().zip(covariances) {
             let constrained: BTreeSet<ImageId> =
                 extrinsics.referenced_images.iter().map(|referenced| referenced.image).collect();
             let all = extrinsics.sensor_pair.referenced_images(model);
@@ -213,7 +218,7 @@ impl Context<'_> {
     /// Resets unobservable clocks to their time stamps and stores unobservable directions. Returns
     /// whether there were any.
     fn fix_unobservable(
-        &self,
+        &mut self,
         model: &Reconstruction,
         all_extrinsics: &[RigExtrinsics],
         sensor_pairs: &mut [SensorPair],
@@ -225,7 +230,8 @@ impl Context<'_> {
         if !sensor_pairs.iter().any(may_be_unobservable) {
             return Ok(false);
         }
-        let covariances = extrinsics_covariances(model, &self.adjust, all_extrinsics)?;
+        let covariances =
+            extrinsics_covariances(model, &self.adjust, all_extrinsics, &mut self.terms)?;
         let mut has_changed = false;
         for (extrinsics, covariance) in all_extrinsics.iter().zip(covariances) {
             // Without a covariance the initial estimate is kept.

@@ -1,7 +1,7 @@
 //! State shared by the estimation steps of the rig, and joint refinement of a model and its
 //! extrinsics.
 
-use tiepoint_adjust::AdjustOptions;
+use tiepoint_adjust::{AdjustOptions, Term};
 use tiepoint_scene::{CorrespondenceGraph, Reconstruction};
 
 use super::extrinsics::RigExtrinsics;
@@ -19,6 +19,8 @@ pub(crate) struct Context<'a> {
     pub(crate) tracks: &'a TrackOptions,
     pub(crate) filter: &'a FilterOptions,
     pub(crate) adjust: AdjustOptions<'a>,
+    /// Further terms of the adjustments.
+    pub(crate) terms: Vec<&'a mut dyn Term>,
     pub(crate) seed: u64,
 }
 
@@ -26,19 +28,19 @@ impl Context<'_> {
     /// Runs bundle adjustment, re-creates tracks from the adjusted poses, runs bundle adjustment
     /// again and filters points. `merge_error_factor` scales the merge threshold of tracks.
     pub(super) fn refine(
-        &self,
+        &mut self,
         model: &mut Reconstruction,
         all_extrinsics: &mut [RigExtrinsics],
         merge_error_factor: f64,
     ) -> Result<(), Error> {
         let options = AdjustOptions { max_iterations: ITERATIONS, ..self.adjust };
-        adjust_with_extrinsics(model, &options, all_extrinsics)?;
+        adjust_with_extrinsics(model, &options, all_extrinsics, &mut self.terms)?;
         let tracks = TrackOptions {
             max_merge_error_px: merge_error_factor * self.tracks.max_merge_error_px,
             ..*self.tracks
         };
         update_tracks(self.graph, model, &tracks);
-        adjust_with_extrinsics(model, &options, all_extrinsics)?;
+        adjust_with_extrinsics(model, &options, all_extrinsics, &mut self.terms)?;
         filter_all_points(model, self.filter);
         Ok(())
     }

@@ -1,6 +1,6 @@
 //! Covariance of the rig extrinsics and clocks.
 
-use tiepoint_adjust::{AdjustOptions, Scope, build_problem, noise_of_fit};
+use tiepoint_adjust::{AdjustOptions, Scope, Term, build_problem, noise_of_fit};
 use tiepoint_ba::{AnyKey, Key};
 use tiepoint_geometry::{Rigid3, so3};
 use tiepoint_rig::Clock;
@@ -9,6 +9,7 @@ use tiepoint_scene::Reconstruction;
 use super::extrinsics::{ExtrinsicsCovariance, RigExtrinsics};
 use super::extrinsics_term::ExtrinsicsTerm;
 use crate::Error;
+use crate::terms::with_terms;
 use crate::tracks::without_points_at_infinity;
 
 /// Returns the covariance of each camera's extrinsics and clock; `None` if the information matrix
@@ -19,6 +20,7 @@ pub(super) fn extrinsics_covariances(
     model: &Reconstruction,
     options: &AdjustOptions,
     all_extrinsics: &[RigExtrinsics],
+    terms: &mut [&mut dyn Term],
 ) -> Result<Vec<Option<ExtrinsicsCovariance>>, Error> {
     let model = &without_points_at_infinity(model);
     let noise = noise_of_fit(model, &options.loss);
@@ -28,7 +30,8 @@ pub(super) fn extrinsics_covariances(
         .map(|extrinsics| extrinsics.with_autocorrelation(model).scaled(1.0 / noise))
         .collect();
     let mut term = ExtrinsicsTerm::new(&mut scaled);
-    let variables = build_problem(model, &Scope::Global, options, &mut [&mut term])?;
+    let terms = &mut with_terms(&mut term, terms);
+    let variables = build_problem(model, &Scope::Global, options, terms)?;
     let problem = variables.problem();
     let of = |(extrinsics, clock): &(Key<Rigid3>, Option<Key<Clock>>)| {
         let mut keys: Vec<AnyKey> = vec![(*extrinsics).into()];

@@ -15,6 +15,7 @@ use tiepoint_scene::{ImageId, Reconstruction};
 
 use super::extrinsics::{RigConstraint, RigExtrinsics};
 use super::sensor_pair::{ClockState, ReferencePose};
+use crate::terms::with_terms;
 
 /// Prior standard deviations of the clock offset around its initial estimate, and of the drift
 /// (quartz: tens of parts per million).
@@ -27,19 +28,16 @@ const PRIOR_SIGMA_ROTATION_RAD: f64 = 1.0;
 /// Factor on the prior standard deviation of the centre along an unobservable direction.
 const UNOBSERVABLE_SIGMA_FACTOR: f64 = 1e-3;
 
-/// Bundle adjustment with extrinsics and clocks as variables.
+/// Bundle adjustment with extrinsics and clocks as variables, and further terms.
 pub(super) fn adjust_with_extrinsics(
     model: &mut Reconstruction,
     options: &AdjustOptions,
     all_extrinsics: &mut [RigExtrinsics],
+    terms: &mut [&mut dyn Term],
 ) -> Result<Summary, Error> {
-    adjust(
-        model,
-        &Scope::Global,
-        options,
-        &mut [&mut ExtrinsicsTerm::new(all_extrinsics)],
-        &mut keep_going,
-    )
+    let extrinsics = &mut ExtrinsicsTerm::new(all_extrinsics);
+    let terms = &mut with_terms(extrinsics, terms);
+    adjust(model, &Scope::Global, options, terms, &mut keep_going)
 }
 
 /// Extrinsics as a term of an adjustment. The estimates are written back to `all_extrinsics`.

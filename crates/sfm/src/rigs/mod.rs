@@ -28,7 +28,7 @@ pub use extrinsics::{ExtrinsicsCovariance, RigConstraint};
 pub use frames_by_time::frames_by_time;
 pub(crate) use merge_by_motion::merge_by_motion;
 pub use pairs::{RigPair, RigPairs, relative_poses, rig_pairs};
-pub use paper::{BaselineLink, BaselineTerm, final_links, growing_links};
+pub use paper::{BaselineLink, BaselineTerm, LinkWeights, final_links, growing_links};
 pub use rematch::Descriptors;
 pub use rigid::{RigidCamera, constrain_rigidly};
 pub use sensor_pair::{ClockState, ReferencePose, ReferencedImage, SensorPair, sensor_pairs};

@@ -30,18 +30,33 @@ impl BaselineLink {
     }
 }
 
-/// Links as a term of an adjustment. Links without a variable image are skipped. Images of a link
-/// that are in no other term are constant.
+/// The weights of the links: Eq. 2 during mapping, Eq. 4 in the last adjustment.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum LinkWeights {
+    /// Those of [`growing_links`].
+    Growing,
+    /// Those of [`final_links`].
+    Final,
+}
+
+/// The links of consecutive pairs as a term of an adjustment. Links without a variable image are
+/// skipped. Images of a link that are in no other term are constant.
 #[derive(Clone, Copy, Debug)]
 pub struct BaselineTerm<'a> {
-    /// The links.
-    pub links: &'a [BaselineLink],
+    /// The pairs of each rig.
+    pub rigs: &'a [RigPairs],
+    /// The weights.
+    pub weights: LinkWeights,
 }
 
 impl Term for BaselineTerm<'_> {
     fn add(&mut self, context: &TermContext, variables: &mut Variables) -> Result<(), Error> {
         let mut keys: BTreeMap<ImageId, Key<Rigid3>> = variables.poses().iter().copied().collect();
-        for link in self.links {
+        let links = match self.weights {
+            LinkWeights::Growing => growing_links(context.model, self.rigs),
+            LinkWeights::Final => final_links(context.model, self.rigs),
+        };
+        for link in links {
             let images = link.images();
             if !images
                 .iter()

@@ -49,9 +49,9 @@ pub fn constrain_rigidly(
     for extrinsics in &all_extrinsics {
         extrinsics.register_images(model, &extrinsics.cam_from_rig);
     }
-    adjust_with_extrinsics(model, options, &mut all_extrinsics)?;
+    adjust_with_extrinsics(model, options, &mut all_extrinsics, &mut [])?;
     filter_all_points(model, filter);
-    let summary = adjust_with_extrinsics(model, options, &mut all_extrinsics)?;
+    let summary = adjust_with_extrinsics(model, options, &mut all_extrinsics, &mut [])?;
     add_frames(model, &all_extrinsics);
     for (camera, extrinsics) in cameras.iter_mut().zip(&all_extrinsics) {
         camera.cam_from_rig = extrinsics.cam_from_rig;

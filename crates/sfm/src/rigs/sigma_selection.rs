@@ -81,7 +81,7 @@ impl Context<'_> {
     /// accepted step. Splits without matches across cameras are repaired only if the held-out error
     /// permits it.
     pub(super) fn select_sigmas(
-        &self,
+        &mut self,
         model: &mut Reconstruction,
         sensor_pairs: &mut [SensorPair],
         mode: RigMode,
@@ -114,7 +114,7 @@ impl Context<'_> {
 
     /// The selection with or without repair of splits.
     fn select_sigmas_with(
-        &self,
+        &mut self,
         model: &mut Reconstruction,
         sensor_pairs: &mut [SensorPair],
         mode: RigMode,
@@ -197,7 +197,7 @@ impl Context<'_> {
 
     /// Adjusts a model with a soft constraint. Also returns the tolerance on its held-out error.
     fn constrain_softly(
-        &self,
+        &mut self,
         model: &Reconstruction,
         sensor_pairs: &[SensorPair],
         sigmas: (f64, f64),
@@ -229,7 +229,7 @@ impl Context<'_> {
     /// constant clocks. In a single step the adjustment would need hundreds of iterations and would
     /// move the clocks to wrong values.
     fn approach_extrinsics(
-        &self,
+        &mut self,
         model: &mut Reconstruction,
         all_extrinsics: &mut [RigExtrinsics],
     ) -> Result<(), Error> {
@@ -249,7 +249,7 @@ impl Context<'_> {
                     }
                 })
                 .collect();
-            adjust_with_extrinsics(model, &options, &mut loose)?;
+            adjust_with_extrinsics(model, &options, &mut loose, &mut self.terms)?;
             for (extrinsics, loose) in all_extrinsics.iter_mut().zip(loose) {
                 extrinsics.cam_from_rig = loose.cam_from_rig;
             }

@@ -14,7 +14,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use tiepoint_adjust::AdjustOptions;
+use tiepoint_adjust::{AdjustOptions, Term};
 use tiepoint_geometry::nalgebra::Vector2;
 use tiepoint_scene::{ImageId, Reconstruction};
 
@@ -60,11 +60,12 @@ impl RollingShutters {
     }
 
     /// Estimates the readout times if they are not given, starting from the current ones, and
-    /// corrects the keypoints. With estimation the model is adjusted, too.
+    /// corrects the keypoints. With estimation the model is adjusted, too, with further terms.
     pub(crate) fn estimate(
         &mut self,
         model: &mut Reconstruction,
         options: &AdjustOptions,
+        terms: &mut [&mut dyn Term],
     ) -> Result<(), Error> {
         if self.readout != Readout::Estimated {
             self.rectify(model);
@@ -72,8 +73,8 @@ impl RollingShutters {
         }
         for _ in 0..MAX_STEPS {
             let keypoints = shifted(model, &self.detected, &self.shutters);
-            let found =
-                adjust_readouts(model, options, ShutterTerm::new(&self.shutters, &keypoints))?;
+            let shutters = ShutterTerm::new(&self.shutters, &keypoints);
+            let found = adjust_readouts(model, options, shutters, terms)?;
             let has_changed = |(a, b): (&RollingShutter, &RollingShutter)| {
                 (a.readout_s - b.readout_s).abs() > MIN_STEP_S
             };
@@ -94,14 +95,12 @@ impl RollingShutters {
         &mut self,
         model: &Reconstruction,
         options: &AdjustOptions,
+        terms: &mut [&mut dyn Term],
     ) -> Result<(), Error> {
         if self.readout == Readout::Estimated {
             let keypoints = shifted(model, &self.detected, &self.shutters);
-            self.shutters = with_standard_deviations(
-                model,
-                options,
-                ShutterTerm::new(&self.shutters, &keypoints),
-            )?;
+            let shutters = ShutterTerm::new(&self.shutters, &keypoints);
+            self.shutters = with_standard_deviations(model, options, shutters, terms)?;
         }
         Ok(())
     }

@@ -13,6 +13,7 @@ use tiepoint_geometry::nalgebra::Vector1;
 use tiepoint_scene::{CameraId, ImageId, Reconstruction};
 
 use super::readout::RollingShutter;
+use crate::terms::with_terms;
 use crate::tracks::without_points_at_infinity;
 
 /// Standard deviation of the prior on a readout time, in seconds. Cameras have 5 to 35 ms.
@@ -76,13 +77,16 @@ impl Term for ShutterTerm<'_> {
     }
 }
 
-/// Runs bundle adjustment with the readout times as variables. Returns their estimates.
+/// Runs bundle adjustment with the readout times as variables, and further terms. Returns their
+/// estimates.
 pub(super) fn adjust_readouts(
     model: &mut Reconstruction,
     options: &AdjustOptions,
     mut shutters: ShutterTerm,
+    terms: &mut [&mut dyn Term],
 ) -> Result<Vec<RollingShutter>, Error> {
-    adjust(model, &Scope::Global, options, &mut [&mut shutters], &mut keep_going)?;
+    let terms = &mut with_terms(&mut shutters, terms);
+    adjust(model, &Scope::Global, options, terms, &mut keep_going)?;
     Ok(shutters.found)
 }
 
@@ -91,11 +95,13 @@ pub(super) fn with_standard_deviations(
     model: &Reconstruction,
     options: &AdjustOptions,
     mut shutters: ShutterTerm,
+    terms: &mut [&mut dyn Term],
 ) -> Result<Vec<RollingShutter>, Error> {
     let noise = noise_of_fit(model, &options.loss);
     let options = &AdjustOptions { noise, ..*options };
     let near = without_points_at_infinity(model);
-    let variables = build_problem(&near, &Scope::Global, options, &mut [&mut shutters])?;
+    let terms = &mut with_terms(&mut shutters, terms);
+    let variables = build_problem(&near, &Scope::Global, options, terms)?;
     let sd_s = |camera: CameraId| {
         let keys: [AnyKey; 1] = [(*shutters.keys.get(&camera)?).into()];
         Some(variables.problem().covariance(&keys).ok()?.matrix()[(0, 0)].sqrt() * noise)

@@ -9,7 +9,7 @@
 use tiepoint_geometry::estimate;
 use tiepoint_geometry::nalgebra::Vector2;
 use tiepoint_geometry::{OptionError, RansacOptions, epipolar};
-use tiepoint_scene::{Camera, Keypoint, Match, TwoView, TwoViewKind};
+use tiepoint_scene::{Camera, ImageId, Keypoint, Match, Reconstruction, TwoView, TwoViewKind};
 
 use super::focal::with_focal;
 
@@ -61,6 +61,13 @@ pub struct ImageObservations<'a> {
     pub keypoints: &'a [Keypoint],
     /// The camera of the image.
     pub camera: &'a Camera,
+}
+
+impl<'a> ImageObservations<'a> {
+    /// Those of an image of a scene.
+    pub fn new(scene: &'a Reconstruction, image: ImageId) -> Self {
+        Self { keypoints: &scene.image(image).keypoints, camera: scene.camera_of(image) }
+    }
 }
 
 /// Verifies the matches of two images. `seed` is the seed of RANSAC.

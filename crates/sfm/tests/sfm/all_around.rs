@@ -1,8 +1,6 @@
 //! The mapper on cameras that see behind themselves: a panorama and a fisheye of 200 degrees, on a
 //! path through a cloud of points on all sides.
 
-use std::ops::ControlFlow;
-
 use tiepoint_geometry::nalgebra::{UnitQuaternion, Vector2, Vector3};
 use tiepoint_geometry::solvers::umeyama;
 use tiepoint_geometry::{CameraModelKind, Intrinsics, Rigid3, Rng};
@@ -10,7 +8,7 @@ use tiepoint_scene::{
     Camera, CorrespondenceGraph, Image, ImageId, ImagePair, Keypoint, Match, Reconstruction,
     TwoView,
 };
-use tiepoint_sfm::{ImageObservations, MapperOptions, VerifyOptions, map, verify_pair};
+use tiepoint_sfm::{ImageObservations, Mapper, MapperOptions, VerifyOptions, verify_pair};
 
 /// Standard deviation of a keypoint's position, in pixels.
 const NOISE_PX: f64 = 0.5;
@@ -65,10 +63,7 @@ fn scene(camera: Camera, lens: &Intrinsics) -> (Reconstruction, CorrespondenceGr
                 }
             }
             let pair = ImagePair::new(ImageId(a as u32), ImageId(b as u32)).expect("two images");
-            let view = |id| ImageObservations {
-                keypoints: &model.image(id).keypoints,
-                camera: model.camera_of(id),
-            };
+            let view = |id| ImageObservations::new(&model, id);
             let options = VerifyOptions::default();
             two_views.push((pair, verify_pair(view(pair.a), view(pair.b), &matches, &options, 0)));
         }
@@ -81,9 +76,7 @@ fn scene(camera: Camera, lens: &Intrinsics) -> (Reconstruction, CorrespondenceGr
 fn assert_mapped(camera: Camera, lens: &Intrinsics) {
     let kind = lens.kind();
     let (blank, graph, poses) = scene(camera, lens);
-    let watch = &mut |_: &_| ControlFlow::Continue(());
-    let models = map(&graph, &blank, &mut |_| Default::default(), &MapperOptions::default(), watch)
-        .expect("a model");
+    let models = Mapper::new(&graph, &blank).run(&MapperOptions::default()).expect("a model");
     let model = &models[0].reconstruction;
     assert_eq!(model.num_registered(), NUM_IMAGES, "{kind:?}");
     let (found, truth): (Vec<_>, Vec<_>) = model

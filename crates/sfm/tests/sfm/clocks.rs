@@ -1,14 +1,14 @@
 //! Cameras with a clock offset, in the synthetic street as features. Clocks, poses and calibration
 //! are known.
 
-use std::ops::{ControlFlow, Range};
+use std::ops::Range;
 
 use tiepoint_geometry::nalgebra::Vector3;
 use tiepoint_geometry::{CameraModelKind, Intrinsics, Rigid3, Rng, so3};
 use tiepoint_scene::{Camera, Image, Reconstruction};
 use tiepoint_sfm::{
-    CalibratedCamera, ClockState, MappedModel, MapperOptions, RefineIntrinsics, RigConstraint,
-    RigMode, map, sensor_pairs,
+    CalibratedCamera, ClockState, MappedModel, Mapper, MapperOptions, RefineIntrinsics,
+    RigConstraint, RigMode, sensor_pairs,
 };
 use tiepoint_synth::{
     ClockEffects, Drive, DriveOptions, Effects, FeatureOptions, FeatureScene, MatchOptions,
@@ -47,10 +47,7 @@ fn run(seed: u64, clocks: ClockEffects, rig: RigMode) -> Run {
     let graph = scene.graph(&matching);
     let mapper =
         MapperOptions { refine: RefineIntrinsics::NONE, rig, seed, ..MapperOptions::default() };
-    let models =
-        map(&graph, &scene.without_poses(), &mut |_| Default::default(), &mapper, &mut |_| {
-            ControlFlow::Continue(())
-        });
+    let models = Mapper::new(&graph, &scene.without_poses()).run(&mapper);
     let MappedModel { reconstruction: model, rig, .. } =
         models.expect("the scene is easy").remove(0);
     let camera = rig.and_then(|rig| rig.cameras.into_iter().next());

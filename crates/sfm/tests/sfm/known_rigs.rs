@@ -1,16 +1,13 @@
 //! Rigs with known extrinsics on the drive of [`crate::rig`].
 
 use std::collections::BTreeMap;
-use std::ops::ControlFlow;
 
 use tiepoint_geometry::Rigid3;
 use tiepoint_geometry::nalgebra::Vector3;
 use tiepoint_scene::{
     CorrespondenceGraph, ImageId, ImagePair, Match, Reconstruction, Rig, RigId, RigSensor, TwoView,
 };
-use tiepoint_sfm::{
-    KnownFrame, KnownRigs, MappedModel, MapperOptions, OptionalStage, map, map_with_rigs,
-};
+use tiepoint_sfm::{KnownFrame, KnownRigs, MappedModel, Mapper, MapperOptions, OptionalStage};
 
 use crate::rig::{BASELINE_M, NUM_FRAMES, Truth, drive};
 
@@ -81,19 +78,15 @@ fn thinned(truth: &Truth, keep: impl Fn(ImageId) -> Option<usize>) -> Correspond
 }
 
 fn run(graph: &CorrespondenceGraph, scene: &Reconstruction, rigs: &KnownRigs) -> MappedModel {
-    let watch = &mut |_: &_| ControlFlow::Continue(());
-    let options = MapperOptions::default();
-    let mut models =
-        map_with_rigs(graph, scene, rigs, &mut |_| Default::default(), &options, watch).unwrap();
+    let mapper = Mapper::new(graph, scene).known_rigs(rigs);
+    let mut models = mapper.run(&MapperOptions::default()).unwrap();
     models[0].reconstruction.validate().unwrap();
     models.swap_remove(0)
 }
 
 /// Images that are registered without a known rig.
 fn num_registered_alone(graph: &CorrespondenceGraph, scene: &Reconstruction) -> usize {
-    let watch = &mut |_: &_| ControlFlow::Continue(());
-    let models =
-        map(graph, scene, &mut |_| Default::default(), &MapperOptions::default(), watch).unwrap();
+    let models = Mapper::new(graph, scene).run(&MapperOptions::default()).unwrap();
     models[0].reconstruction.num_registered()
 }
 

@@ -1,12 +1,10 @@
 //! The lens of an action camera on a street, as features: viewing direction and aspect ratio.
 
-use std::ops::ControlFlow;
-
 use tiepoint_geometry::nalgebra::{UnitQuaternion, Vector2};
 use tiepoint_geometry::solvers::umeyama;
 use tiepoint_geometry::{CameraModelKind, Intrinsics};
 use tiepoint_scene::{Camera, CameraId};
-use tiepoint_sfm::{MapperOptions, map};
+use tiepoint_sfm::{Mapper, MapperOptions};
 use tiepoint_synth::{
     Drive, DriveCamera, DriveOptions, Effects, FeatureOptions, FeatureScene, MatchOptions,
 };
@@ -63,9 +61,7 @@ fn a_street_rotates_no_camera_and_keeps_pixels_square() {
             camera.has_focal_prior = true;
         }
         let mapper = MapperOptions { seed, ..MapperOptions::default() };
-        let models = map(&graph, &blank, &mut |_| Default::default(), &mapper, &mut |_| {
-            ControlFlow::Continue(())
-        });
+        let models = Mapper::new(&graph, &blank).run(&mapper);
         let model = models.expect("the scene is easy").remove(0).reconstruction;
         assert_eq!(model.num_registered(), 2 * FRAMES);
         let turns: Vec<_> = ids

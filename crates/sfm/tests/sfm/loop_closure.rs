@@ -2,7 +2,7 @@
 
 use std::ops::ControlFlow;
 
-use tiepoint_sfm::{Event, MapperOptions, RefineIntrinsics, map};
+use tiepoint_sfm::{Event, Mapper, MapperOptions, RefineIntrinsics};
 use tiepoint_synth::{Drive, DriveOptions, FeatureOptions, FeatureScene, MatchOptions};
 
 use crate::common::ate_m;
@@ -35,13 +35,13 @@ fn run(seed: u64, wrong: f64) -> (f64, Option<usize>, usize, usize) {
     }
     let mut closed = None;
     let options = MapperOptions { refine: RefineIntrinsics::NONE, ..MapperOptions::default() };
-    let models = map(&graph, &blank, &mut |_| Default::default(), &options, &mut |event| {
+    let mut watch = |event: &Event| {
         if let Event::LoopClosed { num_pairs } = event {
             closed = Some(*num_pairs);
         }
         ControlFlow::Continue(())
-    })
-    .expect("a model");
+    };
+    let models = Mapper::new(&graph, &blank).watch(&mut watch).run(&options).expect("a model");
     let model = &models[0];
     assert_eq!(model.num_loop_pairs, closed.unwrap_or(0));
     let registered = model.reconstruction.num_registered();

@@ -16,3 +16,4 @@ mod point_selection;
 mod repetition;
 mod rig;
 mod shutter;
+mod terms;

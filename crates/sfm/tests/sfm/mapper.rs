@@ -11,8 +11,8 @@ use tiepoint_scene::{
     Reconstruction, Track, TwoView,
 };
 use tiepoint_sfm::{
-    AdjustOptions, ImageObservations, MapperOptions, RefineIntrinsics, Scope, VerifyOptions,
-    adjust, map, verify_pair,
+    AdjustOptions, Event, ImageObservations, Mapper, MapperOptions, RefineIntrinsics, Scope,
+    VerifyOptions, adjust, verify_pair,
 };
 
 use crate::common::sample;
@@ -95,10 +95,7 @@ fn truth_of(
                 }
             }
             let pair = ImagePair::new(ImageId(a as u32), ImageId(b as u32)).expect("two images");
-            let view = |id| ImageObservations {
-                keypoints: &scene.image(id).keypoints,
-                camera: scene.camera_of(id),
-            };
+            let view = |id| ImageObservations::new(&scene, id);
             two_views.push((
                 pair,
                 verify_pair(view(pair.a), view(pair.b), &matches, &VerifyOptions::default(), seed),
@@ -128,10 +125,7 @@ fn shape_error(model: &Reconstruction, poses: &[Rigid3]) -> f64 {
 
 fn run(truth: &Truth, options: &MapperOptions) -> Reconstruction {
     let mut models =
-        map(&truth.graph, &truth.scene, &mut |_| Default::default(), options, &mut |_| {
-            ControlFlow::Continue(())
-        })
-        .expect("the scene is easy");
+        Mapper::new(&truth.graph, &truth.scene).run(options).expect("the scene is easy");
     models.remove(0).reconstruction
 }
 
@@ -215,10 +209,7 @@ fn two_scenes_without_matches_become_two_models() {
         one.graph.pairs().iter().map(|(pair, two_view)| (*pair, two_view.clone())).chain(shifted);
     let graph = CorrespondenceGraph::new(&counts, pairs);
     let options = MapperOptions { refine: RefineIntrinsics::NONE, ..Default::default() };
-    let models = map(&graph, &scene, &mut |_| Default::default(), &options, &mut |_| {
-        ControlFlow::Continue(())
-    })
-    .unwrap();
+    let models = Mapper::new(&graph, &scene).run(&options).unwrap();
     assert_eq!(
         models.iter().map(|model| model.reconstruction.num_registered()).collect::<Vec<_>>(),
         [NUM_IMAGES, NUM_IMAGES]
@@ -238,13 +229,9 @@ fn the_number_of_threads_changes_nothing() {
 #[test]
 fn the_callback_stops_the_mapper() {
     let truth = truth(8, FOCAL_PX, true);
-    let error = map(
-        &truth.graph,
-        &truth.scene,
-        &mut |_| Default::default(),
-        &MapperOptions::default(),
-        &mut |_| ControlFlow::Break(()),
-    );
+    let mut stop = |_: &Event| ControlFlow::Break(());
+    let mapper = Mapper::new(&truth.graph, &truth.scene).watch(&mut stop);
+    let error = mapper.run(&MapperOptions::default());
     assert!(matches!(error, Err(tiepoint_sfm::Error::Cancelled)));
 }
 

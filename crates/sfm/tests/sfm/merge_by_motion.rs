@@ -6,7 +6,8 @@ use std::ops::ControlFlow;
 use tiepoint_geometry::{Rigid3, so3};
 use tiepoint_scene::CorrespondenceGraph;
 use tiepoint_sfm::{
-    CalibratedCamera, ClockState, Event, MappedModel, MapperOptions, RefineIntrinsics, RigMode, map,
+    CalibratedCamera, ClockState, Event, MappedModel, Mapper, MapperOptions, RefineIntrinsics,
+    RigMode,
 };
 use tiepoint_synth::{
     ClockEffects, Drive, DriveOptions, Effects, FeatureOptions, FeatureScene, MatchOptions, Mount,
@@ -65,11 +66,12 @@ fn run(rig: RigMode) -> Run {
     let graph = CorrespondenceGraph::new(&counts, two_views);
     let mapper = MapperOptions { refine: RefineIntrinsics::NONE, rig, ..MapperOptions::default() };
     let mut was_joined = false;
-    let models =
-        map(&graph, &scene.without_poses(), &mut |_| Default::default(), &mapper, &mut |event| {
-            was_joined |= matches!(event, Event::Merged { .. });
-            ControlFlow::Continue(())
-        });
+    let mut watch = |event: &Event| {
+        was_joined |= matches!(event, Event::Merged { .. });
+        ControlFlow::Continue(())
+    };
+    let blank = scene.without_poses();
+    let models = Mapper::new(&graph, &blank).watch(&mut watch).run(&mapper);
     let models = models.expect("the scene is easy");
     let MappedModel { reconstruction, rig, .. } = &models[0];
     let camera = rig.as_ref().and_then(|rig| rig.cameras.first().cloned());

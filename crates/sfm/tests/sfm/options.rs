@@ -1,10 +1,8 @@
 //! Options out of their range are refused by name, and all others work.
 
-use std::ops::ControlFlow;
-
 use tiepoint_geometry::{Loss, OptionError};
 use tiepoint_sfm::{
-    FilterOptions, MapperOptions, Readout, RegisterOptions, TrackOptions, VerifyOptions, map,
+    FilterOptions, Mapper, MapperOptions, Readout, RegisterOptions, TrackOptions, VerifyOptions,
 };
 use tiepoint_synth::{Drive, DriveOptions, FeatureOptions, FeatureScene, MatchOptions};
 
@@ -108,8 +106,7 @@ fn zero_is_refused_or_works() {
     let mut refused = Vec::new();
     for option in numbers().into_iter().chain(counts()) {
         let options = with(option, 0.0);
-        let keep_going = &mut |_: &_| ControlFlow::Continue(());
-        let mapped = map(&graph, &images, &mut |_| Default::default(), &options, keep_going);
+        let mapped = Mapper::new(&graph, &images).run(&options);
         if options.validate().is_err() {
             mapped.unwrap_err();
             refused.push(option.0);

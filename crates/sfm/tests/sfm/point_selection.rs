@@ -2,7 +2,7 @@
 
 use std::ops::ControlFlow;
 
-use tiepoint_sfm::{AdjustOptions, Event, MapperOptions, RefineIntrinsics, Scope, adjust, map};
+use tiepoint_sfm::{AdjustOptions, Mapper, MapperOptions, RefineIntrinsics, Scope, adjust};
 use tiepoint_synth::{Drive, DriveOptions, FeatureOptions, FeatureScene, MatchOptions};
 
 use crate::common::ate_m;
@@ -25,9 +25,7 @@ fn selected_points_determine_the_poses_and_all_other_points() {
     let scene = FeatureScene::new(&drive, &features).unwrap();
     let graph = scene.graph(&MatchOptions { window: Some(6), ..MatchOptions::default() });
     let options = MapperOptions { refine: RefineIntrinsics::NONE, ..MapperOptions::default() };
-    let go_on = &mut |_: &Event| ControlFlow::Continue(());
-    let models =
-        map(&graph, &scene.without_poses(), &mut |_| Default::default(), &options, go_on).unwrap();
+    let models = Mapper::new(&graph, &scene.without_poses()).run(&options).unwrap();
     let adjusted = |select_tracks: bool| {
         let mut model = models[0].reconstruction.clone();
         let options =

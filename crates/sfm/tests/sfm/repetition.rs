@@ -3,7 +3,6 @@
 //! Without the checks of registration, the trajectory folds at every period.
 
 use std::collections::BTreeMap;
-use std::ops::ControlFlow;
 
 use tiepoint_geometry::nalgebra::{Vector2, Vector3};
 use tiepoint_geometry::{CameraModelKind, Intrinsics, Rigid3, Rng};
@@ -11,7 +10,7 @@ use tiepoint_scene::{
     Camera, CorrespondenceGraph, Image, ImagePair, Keypoint, Match, Reconstruction,
 };
 use tiepoint_sfm::{
-    ImageObservations, MapperOptions, RefineIntrinsics, VerifyOptions, map, verify_pair,
+    ImageObservations, Mapper, MapperOptions, RefineIntrinsics, VerifyOptions, verify_pair,
 };
 
 use crate::common::sample;
@@ -93,10 +92,7 @@ fn street(seed: u64) -> Street {
             Some(Match { a: only(keypoints)?, b: only(seen[b].get(appearance)?)? })
         };
         let matches: Vec<Match> = seen[a].iter().filter_map(of).collect();
-        let view = |frame: usize| ImageObservations {
-            keypoints: &scene.image(ids[frame]).keypoints,
-            camera: scene.camera_of(ids[frame]),
-        };
+        let view = |frame: usize| ImageObservations::new(&scene, ids[frame]);
         let two_view = verify_pair(view(a), view(b), &matches, &VerifyOptions::default(), seed);
         (!two_view.matches.is_empty()).then_some((ImagePair::new(ids[a], ids[b])?, two_view))
     });
@@ -108,10 +104,7 @@ fn street(seed: u64) -> Street {
 fn steps(street: &Street, seed: u64) -> Vec<f64> {
     let options =
         MapperOptions { refine: RefineIntrinsics::NONE, seed, ..MapperOptions::default() };
-    let models =
-        map(&street.graph, &street.scene, &mut |_| Default::default(), &options, &mut |_| {
-            ControlFlow::Continue(())
-        });
+    let models = Mapper::new(&street.graph, &street.scene).run(&options);
     let model = models.expect("a street").remove(0).reconstruction;
     let centres: Vec<Option<Vector3<f64>>> =
         model.images().map(|(_, image)| image.cam_from_world().map(Rigid3::origin_in_a)).collect();

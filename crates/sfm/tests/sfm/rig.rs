@@ -10,9 +10,9 @@ use tiepoint_scene::{
 };
 use tiepoint_sfm::rig::{paper, relative_pose_statistics};
 use tiepoint_sfm::{
-    AdjustOptions, BaselineTerm, Event, ImageObservations, MappedModel, MapperOptions,
-    RefineIntrinsics, RigConstraint, RigMode, Scope, Term, VerifyOptions, adjust, final_links,
-    growing_links, map, relative_poses, rig_pairs, verify_pair,
+    AdjustOptions, BaselineTerm, Event, Gauge, ImageObservations, LinkWeights, MappedModel, Mapper,
+    MapperOptions, RefineIntrinsics, RigConstraint, RigMode, Scope, Term, VerifyOptions, adjust,
+    final_links, growing_links, relative_poses, rig_pairs, verify_pair,
 };
 
 use crate::common::{ate_m, sample};
@@ -126,10 +126,7 @@ fn drive_with(
             };
             let matches: Vec<Match> = seen[a].iter().enumerate().filter_map(found).collect();
             let pair = ImagePair::new(ImageId(a as u32), ImageId(b as u32)).expect("two images");
-            let view = |id| ImageObservations {
-                keypoints: &scene.image(id).keypoints,
-                camera: scene.camera_of(id),
-            };
+            let view = |id| ImageObservations::new(&scene, id);
             let options = VerifyOptions::default();
             two_views
                 .push((pair, verify_pair(view(pair.a), view(pair.b), &matches, &options, seed)));
@@ -141,10 +138,7 @@ fn drive_with(
 
 fn run_whole(truth: &Truth, options: &MapperOptions) -> MappedModel {
     let mut models =
-        map(&truth.graph, &truth.scene, &mut |_| Default::default(), options, &mut |_| {
-            ControlFlow::Continue(())
-        })
-        .expect("the scene is easy");
+        Mapper::new(&truth.graph, &truth.scene).run(options).expect("the scene is easy");
     let model = models.remove(0);
     model.reconstruction.validate().expect("a sound model");
     model
@@ -180,13 +174,15 @@ fn each_model_reports_its_own_rig() {
     truth.graph = CorrespondenceGraph::new(&counts, thinned.collect::<Vec<_>>());
     let mut began = Vec::new();
     let options = calibrated(RigMode::Rigid);
-    let models =
-        map(&truth.graph, &truth.scene, &mut |_| Default::default(), &options, &mut |event| {
-            if let Event::Initialised { image1, .. } = event {
-                began.push(part(*image1));
-            }
-            ControlFlow::Continue(())
-        })
+    let mut watch = |event: &Event| {
+        if let Event::Initialised { image1, .. } = event {
+            began.push(part(*image1));
+        }
+        ControlFlow::Continue(())
+    };
+    let models = Mapper::new(&truth.graph, &truth.scene)
+        .watch(&mut watch)
+        .run(&options)
         .expect("the scene is easy");
     assert_eq!(began, [0, 1], "the smaller one comes first");
     let sizes: Vec<usize> =
@@ -459,10 +455,11 @@ fn the_gauge_stays_fixed() {
     );
     let options = AdjustOptions {
         refine: RefineIntrinsics::NONE,
-        gauge: Some(gauge),
+        gauge: Gauge::Pair(gauge),
         ..AdjustOptions::default()
     };
-    let terms: &mut [&mut dyn Term] = &mut [&mut BaselineTerm { links: &links }];
+    let terms: &mut [&mut dyn Term] =
+        &mut [&mut BaselineTerm { rigs: &rigs, weights: LinkWeights::Growing }];
     adjust(&mut model, &Scope::Global, &options, terms, &mut |_| ControlFlow::Continue(()))
         .unwrap();
     assert_eq!(*model.image(gauge.a).cam_from_world().unwrap(), first);

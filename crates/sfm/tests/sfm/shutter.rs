@@ -1,13 +1,12 @@
 //! A rolling-shutter camera in the synthetic street as features.
 
-use std::ops::ControlFlow;
 use std::sync::LazyLock;
 
 use tiepoint_sfm::geometry::{CameraModelKind, Intrinsics};
 use tiepoint_sfm::scene::{Camera, Image, Reconstruction};
 use tiepoint_sfm::{
-    Failure, MapperOptions, OptionalStage, Readout, RefineIntrinsics, RollingShutter, RowPoses,
-    map, row_poses,
+    Failure, Mapper, MapperOptions, OptionalStage, Readout, RefineIntrinsics, RollingShutter,
+    RowPoses, row_poses,
 };
 use tiepoint_synth::{
     Drive, DriveOptions, Effects, FeatureOptions, FeatureScene, MatchOptions, Mount, ViewDirection,
@@ -44,10 +43,7 @@ fn run(direction: ViewDirection, readout: Option<Readout>) -> Outcome {
     let graph = scene.graph(&matching);
     let mapper =
         MapperOptions { refine: RefineIntrinsics::NONE, readout, ..MapperOptions::default() };
-    let models =
-        map(&graph, &scene.without_poses(), &mut |_| Default::default(), &mapper, &mut |_| {
-            ControlFlow::Continue(())
-        });
+    let models = Mapper::new(&graph, &scene.without_poses()).run(&mapper);
     let model = models.expect("the scene is easy").remove(0);
     assert_eq!(model.reconstruction.num_registered(), 2 * FRAMES);
     let is_of_shutter = |failure: &&Failure| failure.stage == OptionalStage::RollingShutter;

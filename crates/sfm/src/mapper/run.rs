@@ -1,0 +1,130 @@
+//! The entry to the mapper.
+
+use std::ops::ControlFlow;
+
+use tiepoint_adjust::Term;
+use tiepoint_scene::{CorrespondenceGraph, ImageId, KnownRigs, Reconstruction};
+
+use super::existing::ExistingPoses;
+use super::extend::extend;
+use super::incremental::{initial_focal_lengths, map_rest, without_model};
+use super::input::Input;
+use super::merge::merge_rig_models;
+use crate::Error;
+use crate::event::{Event, Watch};
+use crate::mapped_model::MappedModel;
+use crate::options::{MapperOptions, RigMode};
+use crate::rigs::{Descriptors, rig_pairs};
+
+/// The incremental mapper with its input: the verified pairs, a scene, and what else is known.
+pub struct Mapper<'a> {
+    graph: &'a CorrespondenceGraph,
+    scene: &'a Reconstruction,
+    existing: Option<ExistingPoses>,
+    known_rigs: Option<&'a KnownRigs>,
+    terms: Vec<&'a mut dyn Term>,
+    descriptors: Option<&'a mut Descriptors<'a>>,
+    watch: Option<&'a mut Watch<'a>>,
+}
+
+impl<'a> Mapper<'a> {
+    /// `scene` gives cameras and images with keypoints. Its poses and points are ignored unless
+    /// [`Mapper::existing`] is called.
+    pub fn new(graph: &'a CorrespondenceGraph, scene: &'a Reconstruction) -> Self {
+        let (existing, known_rigs, descriptors, watch) = (None, None, None, None);
+        Self { graph, scene, existing, known_rigs, terms: Vec::new(), descriptors, watch }
+    }
+
+    /// Goes on from the poses and points of the scene. The tracks are completed by the
+    /// correspondences of the graph, new points are triangulated with the poses, and the images
+    /// without a pose are registered one after another. Images that are not connected to this model
+    /// give further models, which come behind it.
+    ///
+    /// The gauge of the model is kept, unless a term has a frame. Poses that are not constant are
+    /// refined with all others; the refined model is then moved by the similarity that brings the
+    /// poses of the existing images closest to where they were.
+    pub fn existing(self, poses: ExistingPoses) -> Self {
+        Self { existing: Some(poses), ..self }
+    }
+
+    /// Rigs whose extrinsics are known; their frames are registered as a whole. The models have the
+    /// unit of length of the rigs; [`MapperOptions::rig`] has no effect. If no frame of a model has
+    /// two images that agree with the extrinsics, its images are registered one by one, and
+    /// [`MappedModel::failures`] says so.
+    pub fn known_rigs(self, rigs: &'a KnownRigs) -> Self {
+        Self { known_rigs: Some(rigs), ..self }
+    }
+
+    /// A further term, which takes part in all local and global adjustments of all models, from the
+    /// initial pair on. Trials of initial pairs and of focal lengths have no terms, nor has the
+    /// pose graph of a loop closure.
+    ///
+    /// A model is moved into the frame of its terms as soon as one of them knows the similarity
+    /// ([`Term::frame`]), and again before each global adjustment. From then on, nothing else fixes
+    /// the gauge ([`tiepoint_adjust::Gauge::FixedByTerms`]), and
+    /// [`MappedModel::is_in_frame_of_terms`] is set.
+    pub fn term(mut self, term: &'a mut dyn Term) -> Self {
+        self.terms.push(term);
+        self
+    }
+
+    /// The descriptors of an image, for guided matching with [`RigMode::Soft`], [`RigMode::Rigid`]
+    /// and [`RigMode::Auto`]. Where it returns nothing, no images are matched again.
+    pub fn descriptors(self, descriptors: &'a mut Descriptors<'a>) -> Self {
+        Self { descriptors: Some(descriptors), ..self }
+    }
+
+    /// Receives every event. A `Break` stops the mapper.
+    pub fn watch(self, watch: &'a mut (dyn FnMut(&Event) -> ControlFlow<()> + 'a)) -> Self {
+        Self { watch: Some(watch), ..self }
+    }
+
+    /// Maps all images. Each connected component gives a model; the model with the most images
+    /// comes first.
+    ///
+    /// # Errors
+    ///
+    /// An option is out of its range; there are known rigs and existing poses; the first model
+    /// fails; [`Error::NothingToExtend`] if the existing images have no points in common after
+    /// triangulation; [`Error::Cancelled`] if the watch asks to stop.
+    pub fn run(self, options: &MapperOptions) -> Result<Vec<MappedModel>, Error> {
+        options.validate()?;
+        let Self { graph, scene, existing, known_rigs, mut terms, descriptors, watch } = self;
+        if existing.is_some() && known_rigs.is_some() {
+            return Err(Error::RigsOfExistingModel);
+        }
+        let (mut nothing, mut go_on) =
+            (|_: ImageId| Default::default(), |_: &Event| ControlFlow::Continue(()));
+        let descriptors: &mut Descriptors = match descriptors {
+            Some(descriptors) => descriptors,
+            None => &mut nothing,
+        };
+        let watch: &mut Watch = match watch {
+            Some(watch) => watch,
+            None => &mut go_on,
+        };
+        let mut options = *options;
+        if known_rigs.is_some() {
+            options.rig = RigMode::Off;
+        }
+        options.tracks.two_view |= existing.is_none() && graph.num_images() == 2;
+        let options = &options;
+        let mut blank = without_model(scene);
+        let focal_priors = &initial_focal_lengths(graph, &mut blank, options);
+        let rig_pairs = &match options.rig {
+            RigMode::Paper => rig_pairs(&blank),
+            _ => Vec::new(),
+        };
+        let input = Input { graph, scene: &blank, options, focal_priors, rig_pairs, known_rigs };
+        if let Some(poses) = existing {
+            let first = extend(input, scene, poses, &mut terms, descriptors, watch)?;
+            return map_rest(input, vec![first], &mut terms, descriptors, watch);
+        }
+        let mut models = map_rest(input, Vec::new(), &mut terms, descriptors, watch)?;
+        models.sort_by_key(|model| std::cmp::Reverse(model.reconstruction.num_registered()));
+        if matches!(options.rig, RigMode::Soft | RigMode::Rigid | RigMode::Auto) {
+            merge_rig_models(input, &mut models, &mut terms, descriptors, watch)?;
+        }
+        Ok(models)
+    }
+}
