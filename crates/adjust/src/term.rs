@@ -23,7 +23,8 @@ pub trait Term {
     /// measurements that hold in any frame, such as the equality of two relative poses.
     ///
     /// A mapper asks before it adjusts a whole model, and moves the model into the frame of the
-    /// terms. [`crate::adjust`] does not ask.
+    /// terms. Until a term knows it, the mapper asks before each adjustment which terms wait.
+    /// [`crate::adjust`] does not ask.
     fn frame(&self, model: &Reconstruction) -> TermFrame {
         let _ = model;
         TermFrame::Any

@@ -16,7 +16,7 @@ pub type Pair = (u32, u32);
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PairSelection {
     /// All pairs of few images. Of more, the neighbours in sequences and the images that
-    /// [`InvertedIndex`](crate::InvertedIndex) finds similar: see
+    /// [`InvertedIndex`](crate::retrieval::InvertedIndex) finds similar: see
     /// [`auto_pairs`](crate::auto_pairs()).
     Auto,
     /// All pairs of images.

@@ -7,7 +7,9 @@ use tiepoint_geometry::nalgebra::Vector3;
 use tiepoint_scene::{
     CorrespondenceGraph, ImageId, ImagePair, Match, Reconstruction, Rig, RigId, RigSensor, TwoView,
 };
-use tiepoint_sfm::{KnownFrame, KnownRigs, MappedModel, Mapper, MapperOptions, OptionalStage};
+use tiepoint_sfm::{
+    Error, ExistingPoses, KnownFrame, KnownRigs, MappedModel, Mapper, MapperOptions, OptionalStage,
+};
 
 use crate::rig::{BASELINE_M, NUM_FRAMES, Truth, drive};
 
@@ -155,4 +157,13 @@ fn extrinsics_of_another_rig_are_not_used() {
     assert!(mapped.reconstruction.frames.is_empty());
     let stages: Vec<OptionalStage> = mapped.failures.iter().map(|failure| failure.stage).collect();
     assert_eq!(stages, [OptionalStage::Rig]);
+}
+
+#[test]
+fn an_existing_model_takes_no_known_rigs() {
+    let truth = drive(6, TURN_RAD, FOCAL_PX, true);
+    let rigs = rigs(&truth.scene, right_from_left(), false);
+    let mapper = Mapper::new(&truth.graph, &truth.scene).known_rigs(&rigs);
+    let error = mapper.existing(ExistingPoses::Refined).run(&MapperOptions::default()).unwrap_err();
+    assert!(matches!(error, Error::RigsOfExistingModel), "{error}");
 }
