@@ -38,7 +38,7 @@ pub(crate) fn run(
     let mut call = Call::start(arguments).map_err(exception)?;
     match receive(python, &mut call, on_event.as_ref()) {
         Ok(result) => python.detach(|| call.join()).map(|()| result).map_err(exception),
-        Err(why) => {
+        Err(reason) => {
             call.cancel();
             python.detach(move || {
                 let start = Instant::now();
@@ -49,7 +49,7 @@ pub(crate) fn run(
                     cancelled().push(call);
                 }
             });
-            Err(why)
+            Err(reason)
         }
     }
 }

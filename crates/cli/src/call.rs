@@ -108,8 +108,8 @@ impl Call {
     /// The command failed.
     pub fn join(self) -> Result<(), Failed> {
         let internal = |_| {
-            let why = "an internal error stopped it: please report the text above";
-            Err(Failure::CouldNot(why.to_owned()))
+            let reason = "an internal error stopped it: please report the text above";
+            Err(Failure::CouldNot(reason.to_owned()))
         };
         self.thread.join().unwrap_or_else(internal).map_err(Failed::from)
     }

@@ -64,8 +64,8 @@ impl Progress {
                 self.bar.tick();
             }
             Event::Noted { what } => self.print_line(what),
-            Event::ImageSkipped { why, .. } => {
-                self.print_line(&format!("skipped {why}"));
+            Event::ImageSkipped { reason, .. } => {
+                self.print_line(&format!("skipped {reason}"));
                 self.bar.inc(1);
             }
             Event::CameraCalibrated { image, calibration } => {
@@ -75,8 +75,8 @@ impl Progress {
                 "{image}: its EXIF focal length of {focal_px:.3e} pixels is impossible and is \
                 ignored: give --focal-prior PX if you know it"
             )),
-            Event::ColorsMissing { why } => {
-                self.print_line(&format!("the points have no colours: {why}"))
+            Event::ColorsMissing { reason } => {
+                self.print_line(&format!("the points have no colours: {reason}"))
             }
             Event::ImageDone { image, keypoints } => {
                 self.show(&format!("{image}: {keypoints} keypoints"));

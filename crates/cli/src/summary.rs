@@ -98,7 +98,7 @@ fn stages(report: &Report) -> String {
             line(format_args!("shutter   camera {camera}: readout time {:.2} ms", 1e3 * readout_s));
         }
         for scale in report.models.first().iter().filter_map(|model| model.scale.as_ref()) {
-            line(format_args!("scale     {}", scale.why));
+            line(format_args!("scale     {}", scale.reason));
         }
         let is_scaled =
             |model: &ModelReport| model.scale.as_ref().is_some_and(|scale| scale.factor.is_some());
@@ -125,7 +125,7 @@ fn stages(report: &Report) -> String {
                     Some(ConstraintKind::Soft) => "soft",
                     Some(ConstraintKind::Rigid) => "rigid",
                 };
-                line(format_args!("          {chosen}: {}", extrinsics.why));
+                line(format_args!("          {chosen}: {}", extrinsics.reason));
                 for camera in extrinsics.rig.iter().flat_map(|rig| &rig.cameras) {
                     line(format_args!("          {}", camera_extrinsics(camera)));
                 }

@@ -113,15 +113,15 @@ pub fn extract(
         None => folder,
     };
     let mut result = Extracted::default();
-    let mut skip = |image: &str, why: &str, watch: Watch| {
+    let mut skip = |image: &str, reason: &str, watch: Watch| {
         result.skipped += 1;
-        emit(watch, &Event::ImageSkipped { image, why })
+        emit(watch, &Event::ImageSkipped { image, reason })
     };
     for file in folder.skipped() {
-        skip(&file.name, &file.why, watch)?;
+        skip(&file.name, &file.reason, watch)?;
     }
-    let chosen = chosen(&folder, images, options.names.as_deref(), &mut |image, why| {
-        skip(image, why, watch)
+    let chosen = chosen(&folder, images, options.names.as_deref(), &mut |image, reason| {
+        skip(image, reason, watch)
     })?;
     // An empty file is what SQLite takes for an empty database.
     let is_there = database.metadata().is_ok_and(|found| found.len() > 0);
@@ -153,7 +153,7 @@ pub fn extract(
         });
         match task {
             Ok(task) => tasks.push(task),
-            Err(why) => skip(&image.name, &why, watch)?,
+            Err(reason) => skip(&image.name, &reason, watch)?,
         }
     }
     let extractor = &*options.extractor;
@@ -209,7 +209,7 @@ fn chosen(
     };
     if chosen.is_empty() {
         let what = match folder.skipped().first() {
-            Some(file) => format!("holds no images that can be used; first {}", file.why),
+            Some(file) => format!("holds no images that can be used; first {}", file.reason),
             None => "holds no images (JPEG, PNG, TIFF, WebP, BMP or PNM) to extract features of"
                 .to_owned(),
         };

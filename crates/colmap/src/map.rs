@@ -106,7 +106,7 @@ pub fn map(
                 color_points(&folder, models.iter_mut().map(|model| &mut model.reconstruction))
             });
         if let Err(error) = colored {
-            emit(watch, &Event::ColorsMissing { why: &error.to_string() })?;
+            emit(watch, &Event::ColorsMissing { reason: &error.to_string() })?;
         }
     }
     let (reconstructions, project) =

@@ -128,7 +128,7 @@ pub fn align(
                 .filter_map(|(_, image, pose)| Some((pose.origin_in_a(), *file.get(&image.name)?)))
                 .unzip();
             let found = similarity_of(&from, &to, max_error, min_common_images.max(3));
-            let found = found.map_err(|why| failed(format!("{why} {}", path.display())))?;
+            let found = found.map_err(|reason| failed(format!("{reason} {}", path.display())))?;
             let distances = from.iter().zip(&to).map(|(from, to)| (found * *from - to).norm());
             (found, Some(distances.sum::<f64>() / from.len().max(1) as f64))
         }

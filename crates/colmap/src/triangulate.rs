@@ -104,7 +104,7 @@ pub fn triangulate(
         if let Err(error) =
             folder.and_then(|folder| color_points(&folder, [&mut model].into_iter()))
         {
-            emit(watch, &Event::ColorsMissing { why: &error.to_string() })?;
+            emit(watch, &Event::ColorsMissing { reason: &error.to_string() })?;
         }
     }
     write(&model, output)

@@ -12,11 +12,11 @@ use std::path::{Path, PathBuf};
 use rayon::prelude::*;
 use serde::Serialize;
 use tiepoint_pipeline::eval::geometry::nalgebra::{Vector2, Vector3};
-use tiepoint_pipeline::io::DenseMap;
 use tiepoint_pipeline::io::colmap::{Format, write_model};
+use tiepoint_pipeline::io::{DenseMap, ply};
 use tiepoint_pipeline::store::AtomicFile;
 use tiepoint_pipeline::store::disk::{create_folders, temporary_path};
-use tiepoint_synth::{Drive, DriveOptions, Exposure, LidarOptions, reference_cloud, write_ply};
+use tiepoint_synth::{Drive, DriveOptions, Exposure, LidarOptions, reference_cloud};
 
 use crate::{Error, Progress};
 
@@ -31,6 +31,8 @@ const IMAGES_PER_THREAD: usize = 3;
 const MAX_LENGTH_M: f64 = 100_000.0;
 /// File with the options of the drive in a folder.
 const RECORD: &str = "synth.json";
+/// Colour of the points of the scanner, which sees none.
+const GREY: [u8; 3] = [128; 3];
 
 /// A drive on disk.
 #[derive(Debug, Serialize)]
@@ -135,7 +137,9 @@ fn cannot(path: &Path, doing: &str, cause: std::io::Error) -> Error {
 ///
 /// The drive cannot be scanned, or the file cannot be written.
 pub fn write_scan(plan: &Plan, drive: &Drive) -> Result<(), Error> {
-    Ok(write_ply(&plan.folder.join("truth/scan.ply"), &scan(drive)?)?)
+    let vertex = |xyz: Vector3<f64>| ply::Vertex { xyz, color: GREY };
+    let vertices: Vec<ply::Vertex> = scan(drive)?.into_iter().map(vertex).collect();
+    Ok(ply::write(&plan.folder.join("truth/scan.ply"), &vertices)?)
 }
 
 /// Writes the true depths of the pixel centres of each image into the folder of a drive: z in the

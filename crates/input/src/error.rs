@@ -10,8 +10,8 @@ pub enum Error {
         "{path} gives {usable} usable photo{s} of {found}: at least two that overlap are \
         needed{also}",
         s = if *usable == 1 { "" } else { "s" },
-        also = skipped.first().map_or_else(String::new, |why| format!("; {} skipped, first \
-        {why}", skipped.len()))
+        also = skipped.first().map_or_else(String::new, |reason| format!("; {} skipped, first \
+        {reason}", skipped.len()))
     )]
     TooFewPhotos {
         /// The input.

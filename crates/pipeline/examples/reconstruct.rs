@@ -16,7 +16,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         reconstruct(std::slice::from_ref(photos), workspace, &Options::default(), &mut |event| {
             match event {
                 Event::StageDone { stage, seconds } => println!("{stage}: {seconds:.1} s"),
-                Event::ImageSkipped { why, .. } => println!("skipped: {why}"),
+                Event::ImageSkipped { reason, .. } => println!("skipped: {reason}"),
                 Event::ImageRegistered { image, points, .. } => {
                     println!("{image}: {points} points")
                 }

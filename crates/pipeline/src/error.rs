@@ -306,14 +306,14 @@ pub enum Error {
         frames: String,
     },
     /// A model cannot be compared with the ground truth.
-    #[error("cannot compare {model} with {truth}: {why}")]
+    #[error("cannot compare {model} with {truth}: {reason}")]
     Evaluation {
         /// The model.
         model: PathBuf,
         /// The ground truth.
         truth: PathBuf,
         /// The reason.
-        why: String,
+        reason: String,
     },
     /// The format needs the photos, and a bare model does not tell where they are.
     #[error(
@@ -460,14 +460,14 @@ pub enum Error {
         reference: PathBuf,
     },
     /// A model could not be aligned to another model or to positions.
-    #[error("cannot align {model} to {reference}: {why}")]
+    #[error("cannot align {model} to {reference}: {reason}")]
     NoAlignment {
         /// The model.
         model: PathBuf,
         /// The other model, or the file of positions.
         reference: PathBuf,
         /// The reason.
-        why: String,
+        reason: String,
     },
     /// No point of a model is in the box that it is cropped to.
     #[error("no point of {path} is in the box, of {points}: see `model.info` of {path}")]

@@ -54,7 +54,7 @@ pub enum Event<'a> {
         /// Its name.
         image: &'a str,
         /// The reason, as a sentence.
-        why: &'a str,
+        reason: &'a str,
     },
     /// The intrinsics of a camera are known from a file.
     CameraCalibrated {
@@ -176,7 +176,7 @@ pub enum Event<'a> {
     /// The points stay grey, because the photos cannot be read any more.
     ColorsMissing {
         /// The reason, as a sentence.
-        why: &'a str,
+        reason: &'a str,
     },
     /// A stage is complete on disk.
     StageDone {

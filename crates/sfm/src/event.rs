@@ -58,7 +58,7 @@ pub struct Failure {
     /// The stage.
     pub stage: OptionalStage,
     /// The reason, as a sentence.
-    pub why: String,
+    pub reason: String,
 }
 
 /// A stage that may fail without failing the mapping.

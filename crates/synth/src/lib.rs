@@ -30,4 +30,3 @@ pub use route::{Route, RoutePosition};
 pub use tiepoint_geometry as geometry;
 pub use trajectory::{Motion, Trajectory, Velocity};
 pub use world::{Material, Quad, Ray, Relief, StreetOptions, Surface, SurfacePoint, World};
-pub use write::write_ply;

@@ -177,23 +177,3 @@ impl Drive {
         write_file(&path, &bytes)
     }
 }
-
-/// Writes points as a PLY file in single precision, binary little-endian.
-///
-/// # Errors
-///
-/// [`Error::Write`] if the file cannot be written.
-pub fn write_ply(path: &Path, points: &[Vector3<f64>]) -> Result<(), Error> {
-    let mut bytes = format!(
-        "ply\nformat binary_little_endian 1.0\nelement vertex {}\n\
-         property float x\nproperty float y\nproperty float z\nend_header\n",
-        points.len()
-    )
-    .into_bytes();
-    for point in points {
-        for value in point.iter() {
-            bytes.extend_from_slice(&(*value as f32).to_le_bytes());
-        }
-    }
-    write_file(path, &bytes)
-}

@@ -39,13 +39,13 @@ pub(crate) fn localize(args: &Localize, output: &Output) -> Result<(), Failure> 
 fn describe(report: &LocalizeReport) -> String {
     let mut text = String::new();
     for photo in &report.photos {
-        let result = match (&photo.pose, &photo.why) {
+        let result = match (&photo.pose, &photo.reason) {
             (Some(pose), _) => {
                 let numbers = pose.rotation_wxyz.iter().chain(&pose.translation);
                 let numbers: Vec<String> = numbers.map(f64::to_string).collect();
                 format!("{} {}", photo.inliers, numbers.join(" "))
             }
-            (None, why) => format!("no pose: {}", why.as_deref().unwrap_or("")),
+            (None, reason) => format!("no pose: {}", reason.as_deref().unwrap_or("")),
         };
         // File names may contain line breaks. Writing to a string does not fail.
         let _ = writeln!(text, "{}", printable(&format!("{} {result}", photo.image)));

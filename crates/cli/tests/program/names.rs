@@ -56,10 +56,10 @@ fn special_files_and_invalid_names_are_skipped() {
     let said = run.stderr();
     assert_eq!(said.lines().count(), expected.len(), "{said}");
     assert!(said.chars().all(|c| c == '\n' || !c.is_control()), "{said:?}");
-    for (name, why) in &expected {
+    for (name, reason) in &expected {
         let line = said.lines().find(|line| line.contains(&format!("photos/{name}:")));
         let line = line.unwrap_or_else(|| panic!("no {name}: {said}"));
-        assert!(line.starts_with("skipped ") && line.contains(why), "{line}");
+        assert!(line.starts_with("skipped ") && line.contains(reason), "{line}");
     }
     let report = fs::read(dir.path().join("ws/report.json")).unwrap();
     let report: serde_json::Value = serde_json::from_slice(&report).unwrap();

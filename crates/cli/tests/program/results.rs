@@ -206,8 +206,8 @@ fn baseline_sets_the_scale_and_rigid_export_has_frames(dir: &Path) {
     for rig in ["off", "soft"] {
         let run = tiepoint_in(dir, &line.replace("RIG", rig)).done().json();
         let scale = &run["models"][0]["scale"];
-        let why = scale["why"].as_str().unwrap();
-        assert!(scale["factor"].as_f64().is_some() && why.ends_with("0.7 m long"), "{run}");
+        let reason = scale["reason"].as_str().unwrap();
+        assert!(scale["factor"].as_f64().is_some() && reason.ends_with("0.7 m long"), "{run}");
         let measured = run["models"][0]["rig"]["cameras"][0]["median_baseline"].as_f64().unwrap();
         assert!((measured - BASELINE_M).abs() < MAX_ERROR_M, "{run}");
     }

@@ -20,7 +20,7 @@ pub struct SkippedImage {
     /// Its name.
     pub image: String,
     /// The reason.
-    pub why: String,
+    pub reason: String,
 }
 
 /// The files of the input photos; their contents are not read yet.
@@ -69,8 +69,8 @@ impl Photos {
         };
         let found = photos.folder.images().len();
         if found < 2 {
-            let why = photos.folder.skipped().iter().map(|file| file.why.clone()).collect();
-            return Err(photos.too_few(found, why));
+            let reason = photos.folder.skipped().iter().map(|file| file.reason.clone()).collect();
+            return Err(photos.too_few(found, reason));
         }
         Ok(photos)
     }
@@ -157,7 +157,7 @@ impl Photos {
         let mut photos = Vec::<Photo>::new();
         let files = self.folder.skipped().iter();
         let mut skipped: Vec<SkippedImage> = files
-            .map(|file| SkippedImage { image: file.name.clone(), why: file.why.clone() })
+            .map(|file| SkippedImage { image: file.name.clone(), reason: file.reason.clone() })
             .collect();
         let folders = images.iter().map(|image| image.camera.index());
         let readable = folders
@@ -170,8 +170,10 @@ impl Photos {
             let info = match info {
                 Ok(info) => info,
                 Err(error) => {
-                    skipped
-                        .push(SkippedImage { image: image.name.clone(), why: error.to_string() });
+                    skipped.push(SkippedImage {
+                        image: image.name.clone(),
+                        reason: error.to_string(),
+                    });
                     continue;
                 }
             };
@@ -206,7 +208,7 @@ impl Photos {
         }
         if photos.len() < 2 {
             return Err(
-                self.too_few(photos.len(), skipped.into_iter().map(|photo| photo.why).collect())
+                self.too_few(photos.len(), skipped.into_iter().map(|photo| photo.reason).collect())
             );
         }
         Ok((photos, skipped))

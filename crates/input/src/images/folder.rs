@@ -611,10 +611,10 @@ fn folder_name(input: &Path) -> OsString {
 fn prefix(input: &Path, folder_name: &OsStr) -> Result<String> {
     match (invalid_name_reason(folder_name, true, false), folder_name.to_str()) {
         (None, Some(name)) => Ok(name.to_owned() + "/"),
-        (why, _) => {
-            let why = why.unwrap_or(NOT_UTF8);
+        (reason, _) => {
+            let reason = reason.unwrap_or(NOT_UTF8);
             let what = format!(
-                "{why}, and with several inputs it begins the names of images: rename the folder"
+                "{reason}, and with several inputs it begins the names of images: rename the folder"
             );
             Err(Error::content(input, what))
         }
@@ -739,11 +739,11 @@ impl Listing {
                         let name = format!("{within}{part}");
                         self.images.push(FoundImage { path, name });
                     }
-                    (why, _) => {
+                    (reason, _) => {
                         self.skip(
                             &path,
                             within,
-                            &format!("{}: rename it", why.unwrap_or(NOT_UTF8)),
+                            &format!("{}: rename it", reason.unwrap_or(NOT_UTF8)),
                         );
                     }
                 }
@@ -768,14 +768,15 @@ impl Listing {
         let is_first = self.prefix.is_empty() && within.is_empty();
         match (invalid_name_reason(part, is_first, false), part.to_str()) {
             (None, Some(part)) => self.list(path, &format!("{within}{part}/"), depth + 1)?,
-            (why, _) => {
+            (reason, _) => {
                 let mut below = Self::new(String::new());
                 below.list(path, "", depth + 1)?;
                 let count = below.images.len() + below.skipped.len();
                 if count > 0 {
                     let images = if count == 1 { "image" } else { "images" };
-                    let why = why.unwrap_or(NOT_UTF8);
-                    let what = format!("{why}, with {count} {images} below it: rename the folder");
+                    let reason = reason.unwrap_or(NOT_UTF8);
+                    let what =
+                        format!("{reason}, with {count} {images} below it: rename the folder");
                     self.skip(path, within, &what);
                 }
             }
@@ -830,7 +831,7 @@ impl Listing {
     fn skip(&mut self, path: &Path, within: &str, what: &str) {
         let part = path.file_name().map_or_else(String::new, |part| escaped(Path::new(part)));
         let name = format!("{}{within}{part}", self.prefix);
-        self.skipped.push(SkippedFile { name, why: format!("{}: {what}", escaped(path)) });
+        self.skipped.push(SkippedFile { name, reason: format!("{}: {what}", escaped(path)) });
     }
 
     /// Passes over the folders of images that were made from the photos beside them.
@@ -870,11 +871,11 @@ impl Listing {
         let endings = IMAGE_EXTENSIONS.join(", .");
         match self.skipped.iter().min() {
             None => format!("holds no images (files named .{endings})"),
-            Some(SkippedFile { why, .. }) => {
+            Some(SkippedFile { reason, .. }) => {
                 let count = self.skipped.len();
                 format!(
                     "holds no images (files named .{endings}) that can be used; {count} skipped, \
-                    first {why}"
+                    first {reason}"
                 )
             }
         }

@@ -32,8 +32,8 @@ impl<'a> Masks<'a> {
             let Ok(metadata) = fs::metadata(path) else { return false };
             if let (Some(kind), false) = (irregular_kind(&metadata), metadata.is_dir()) {
                 let shown = escaped(path);
-                let why = format!("{shown}: is {kind} and no regular file, so it masks nothing");
-                skipped.push(SkippedFile { name: shown, why });
+                let reason = format!("{shown}: is {kind} and no regular file, so it masks nothing");
+                skipped.push(SkippedFile { name: shown, reason });
             }
             metadata.is_file()
         });

@@ -5,5 +5,5 @@ pub struct SkippedFile {
     /// UTF-8 are escaped.
     pub name: String,
     /// The reason: a sentence that begins with the path.
-    pub why: String,
+    pub reason: String,
 }

@@ -78,12 +78,12 @@ fn jpeg_files_with_other_names_are_named() {
         ("notes.txt", b"text".to_vec()),
     ]);
     let source = open(dir.path()).unwrap();
-    let why: Vec<&str> = source.skipped().iter().map(|file| file.why.as_str()).collect();
-    assert_eq!(why.len(), 2, "{why:?}");
+    let reason: Vec<&str> = source.skipped().iter().map(|file| file.reason.as_str()).collect();
+    assert_eq!(reason.len(), 2, "{reason:?}");
     for part in ["a.HEIC: is a JPEG file by its content", "c.jpg_large and d", "a.HEIC to a.jpg"] {
-        assert!(why[0].contains(part), "{why:?}");
+        assert!(reason[0].contains(part), "{reason:?}");
     }
-    assert!(why[1].contains("e.heic: is a HEIC photo"), "{why:?}");
+    assert!(reason[1].contains("e.heic: is a HEIC photo"), "{reason:?}");
 }
 
 #[test]

@@ -221,7 +221,7 @@ fn photos_of_telephones_are_named_with_what_to_do() {
     convert them to JPEG, as with \
                     `heif-convert 2.HEIC 2.jpg`";
     assert_eq!(skipped.name, "2.HEIC");
-    assert!(skipped.why.ends_with(expected), "{}", skipped.why);
+    assert!(skipped.reason.ends_with(expected), "{}", skipped.reason);
     // Nothing else there: the error says so, too.
     for name in ["1.jpg", "4.jpg"] {
         fs::remove_file(dir.path().join(name)).unwrap();

@@ -184,10 +184,10 @@ fn skipped_files_have_names_and_reasons() {
     assert_eq!(names(&source), [("l/1.png", 0), ("m /1.png", 1)]);
     let skipped: Vec<&str> = source.skipped().iter().map(|file| file.name.as_str()).collect();
     assert_eq!(skipped, [" r", "l/a\\u{7f}.png"]);
-    let why = &source.skipped()[0].why;
+    let reason = &source.skipped()[0].reason;
     assert!(
-        why.contains("/ r: its name begins with white space, with 1 image below it: rename"),
-        "{why}"
+        reason.contains("/ r: its name begins with white space, with 1 image below it: rename"),
+        "{reason}"
     );
     // After the prefix of an input, a leading space is in the middle of the name.
     let inputs = [dir.path().join(" r"), dir.path().join("l")];
@@ -291,7 +291,7 @@ fn photos_that_are_not_read_are_named_with_what_to_do() {
     let dir = folder(&files);
     let source = open(dir.path()).unwrap();
     assert_eq!(names(&source), [("0.png", 0)]);
-    let why: Vec<&str> = source.skipped().iter().map(|file| file.why.as_str()).collect();
+    let reason: Vec<&str> = source.skipped().iter().map(|file| file.reason.as_str()).collect();
     for expected in [
         "1.avif: is an AVIF photo, and these are not read: convert them, as with `avifdec 1.avif \
          1.png`",
@@ -304,9 +304,9 @@ fn photos_that_are_not_read_are_named_with_what_to_do() {
         "`heif-convert 1.heic 1.jpg`",
         "1.MOV: is a video beside photos",
     ] {
-        assert!(why.iter().any(|why| why.contains(expected)), "{expected}: {why:#?}");
+        assert!(reason.iter().any(|reason| reason.contains(expected)), "{expected}: {reason:#?}");
     }
-    assert_eq!(why.len(), 7, "{why:#?}");
+    assert_eq!(reason.len(), 7, "{reason:#?}");
 }
 
 #[test]

@@ -166,10 +166,10 @@ pub fn evaluate_poses(
     };
     let images: Vec<&Image> = model.images().map(|(_, image)| image).filter(is_compared).collect();
     let pairs = associate_images(&images, truth)?;
-    let error = |why: String| Error::Evaluation {
+    let error = |reason: String| Error::Evaluation {
         model: located.folder().to_owned(),
         truth: truth.path.clone(),
-        why,
+        reason,
     };
     let found: Vec<Option<Rigid3>> = pairs
         .iter()

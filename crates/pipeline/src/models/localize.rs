@@ -112,7 +112,7 @@ pub struct LocalizedPhoto {
     pub pose: Option<PhotoPose>,
     /// Why there is none.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub why: Option<String>,
+    pub reason: Option<String>,
 }
 
 /// The pose of a photo in the frame of the model, and its camera.
@@ -177,8 +177,8 @@ pub fn localize(
     let mut report =
         LocalizeReport { path: output.to_owned(), localized: 0, seconds: 0.0, photos: Vec::new() };
     for file in photos.skipped() {
-        emit(watch, &Event::ImageSkipped { image: &file.name, why: &file.why })?;
-        report.photos.push(LocalizedPhoto::without_pose(&file.name, 0, file.why.clone()));
+        emit(watch, &Event::ImageSkipped { image: &file.name, reason: &file.reason })?;
+        report.photos.push(LocalizedPhoto::without_pose(&file.name, 0, file.reason.clone()));
     }
     let mut localized: Vec<(ImageId, Localization)> = Vec::new();
     for (index, photo) in photos.images().iter().enumerate() {
@@ -186,16 +186,16 @@ pub fn localize(
         let found = map.query(&photos, index, &calibrations, options);
         let found = found.and_then(|query| match query {
             Ok(query) => map.localize(&query, options).map(|found| Ok((query, found))),
-            Err(why) => Ok(Err(why)),
+            Err(reason) => Ok(Err(reason)),
         })?;
         let entry = match found {
-            Err(why) => LocalizedPhoto::without_pose(name, 0, why),
+            Err(reason) => LocalizedPhoto::without_pose(name, 0, reason),
             Ok((_, Err(correspondences))) => {
-                let why = format!(
+                let reason = format!(
                     "too few of {correspondences} correspondences fit a pose: {} are needed",
                     options.register.min_num_inliers
                 );
-                LocalizedPhoto::without_pose(name, correspondences, why)
+                LocalizedPhoto::without_pose(name, correspondences, reason)
             }
             Ok((query, Ok(found))) => {
                 let entry = LocalizedPhoto::new(name, &query, &found);
@@ -226,9 +226,9 @@ fn refuse_inside(output: &Path, map: &ReferenceModel) -> Result<(), Error> {
 }
 
 impl LocalizedPhoto {
-    fn without_pose(image: &str, correspondences: usize, why: String) -> Self {
+    fn without_pose(image: &str, correspondences: usize, reason: String) -> Self {
         let image = image.to_owned();
-        Self { image, inliers: 0, correspondences, pose: None, why: Some(why) }
+        Self { image, inliers: 0, correspondences, pose: None, reason: Some(reason) }
     }
 
     fn new(image: &str, query: &Query, found: &Localization) -> Self {
@@ -244,7 +244,7 @@ impl LocalizedPhoto {
                 camera_params: found.intrinsics.params().to_vec(),
                 camera_source: query.cameras[found.camera].1,
             }),
-            why: None,
+            reason: None,
         }
     }
 }
@@ -342,9 +342,9 @@ impl ReferenceModel {
         let name = photos.images()[index].name.as_str();
         let there = self.scene.images().find(|(_, image)| image.name == name);
         if there.is_some_and(|(_, image)| image.cam_from_world().is_some()) {
-            let why = "an image of this name has a pose in the model; if it is another photo, \
+            let reason = "an image of this name has a pose in the model; if it is another photo, \
                 rename it";
-            return Ok(Err(why.to_owned()));
+            return Ok(Err(reason.to_owned()));
         }
         let info = match photos.info(index) {
             Ok(info) => info,

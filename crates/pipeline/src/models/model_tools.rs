@@ -285,7 +285,7 @@ fn align_to_model(
         return Err(Error::NoAlignment {
             model: model.folder().to_owned(),
             reference: reference.folder().to_owned(),
-            why: why_apart(&found),
+            reason: why_apart(&found),
         });
     };
     Ok((similarity, info_of(&found, mean_distance(one, other, &similarity))))
@@ -345,17 +345,17 @@ fn align_to_positions(
         .registered()
         .filter_map(|(_, image, pose)| Some((pose.origin_in_a(), *positions.get(&image.name)?)));
     let (from, to): (Vec<Vector3<f64>>, Vec<Vector3<f64>>) = pairs.unzip();
-    let failed = |why: String| Error::NoAlignment {
+    let failed = |reason: String| Error::NoAlignment {
         model: model.folder().to_owned(),
         reference: file.to_owned(),
-        why,
+        reason,
     };
     if from.len() < MIN_POSITIONS {
-        let why = format!(
+        let reason = format!(
             "{} of its images with a pose are in the file, and at least {MIN_POSITIONS} are needed",
             from.len()
         );
-        return Err(failed(why));
+        return Err(failed(reason));
     }
     let options = RansacOptions { max_error, ..RansacOptions::default() };
     let report = estimate::similarity(&from, &to, true, &options)
@@ -442,9 +442,9 @@ pub fn merge_models(
             }
         }
         models = left;
-        if let Some((model, why)) = last_failure.filter(|_| models.len() == before) {
+        if let Some((model, reason)) = last_failure.filter(|_| models.len() == before) {
             let reference = located.folder().to_owned();
-            return Err(Error::NoAlignment { model, reference, why });
+            return Err(Error::NoAlignment { model, reference, reason });
         }
     }
     let change = write(&located.changed(first), to, &inputs)?;

@@ -157,9 +157,9 @@ impl Survey<'_> {
                     run.emit(&Event::ImageDone { image, keypoints })
                 }
                 Err(error) => {
-                    let why = error.to_string();
-                    run.emit(&Event::ImageSkipped { image, why: &why })?;
-                    skipped.push(SkippedImage { image: image.to_owned(), why });
+                    let reason = error.to_string();
+                    run.emit(&Event::ImageSkipped { image, reason: &reason })?;
+                    skipped.push(SkippedImage { image: image.to_owned(), reason });
                     Ok(())
                 }
             }
@@ -169,8 +169,8 @@ impl Survey<'_> {
         if taken.is_err() || found.len() < 2 {
             database.close()?;
             taken?;
-            let why = skipped.into_iter().map(|photo| photo.why).collect();
-            return Err(self.photos.too_few(found.len(), why).into());
+            let reason = skipped.into_iter().map(|photo| photo.reason).collect();
+            return Err(self.photos.too_few(found.len(), reason).into());
         }
         let fingerprints = self.photos.fingerprints(&self.usable);
         let fingerprints = fingerprints.iter().map(|(name, text)| (*name, text.as_str()));
@@ -223,8 +223,8 @@ impl Survey<'_> {
         for what in notes {
             run.emit(&Event::Noted { what })?;
         }
-        for SkippedImage { image, why } in skipped {
-            run.emit(&Event::ImageSkipped { image, why })?;
+        for SkippedImage { image, reason } in skipped {
+            run.emit(&Event::ImageSkipped { image, reason })?;
         }
         let is_unknown = matches!(options.calibration, Calibration::Unknown { focal_px: None, .. });
         for photo in firsts(&self.usable) {

@@ -336,20 +336,20 @@ fn color(run: &mut StageRun, models: &mut [MappedModel]) -> Result<(), Error> {
     match folder.and_then(|folder| color_points(&folder, models)) {
         Ok(()) => Ok(()),
         // The photos may have moved; the model is valid without colours.
-        Err(error) => run.emit(&Event::ColorsMissing { why: &error.to_string() }),
+        Err(error) => run.emit(&Event::ColorsMissing { reason: &error.to_string() }),
     }
 }
 
 /// A failed optional stage, as a sentence. `has_known_rigs`: rigs are not estimated.
-fn describe(Failure { stage, why }: &Failure, has_known_rigs: bool) -> String {
+fn describe(Failure { stage, reason }: &Failure, has_known_rigs: bool) -> String {
     let stage = match stage {
         OptionalStage::RollingShutter => "the rolling-shutter correction failed",
         OptionalStage::Rig if has_known_rigs => {
-            return format!("the known rig was not used, and the scale is arbitrary: {why}");
+            return format!("the known rig was not used, and the scale is arbitrary: {reason}");
         }
         OptionalStage::Rig => "the estimation of rig extrinsics failed",
     };
-    format!("{stage}, and the model is the one before it: {why}")
+    format!("{stage}, and the model is the one before it: {reason}")
 }
 
 /// Writes the rigs and frames of the largest model into the database, so that COLMAP can go on from

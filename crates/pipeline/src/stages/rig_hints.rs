@@ -81,7 +81,7 @@ mod tests {
     use super::*;
 
     /// The sentence on cameras with photos of these names.
-    fn why(cameras: &[&[&str]]) -> Option<String> {
+    fn reason(cameras: &[&[&str]]) -> Option<String> {
         let mut scene = Reconstruction::default();
         let intrinsics = Intrinsics::centred(CameraModelKind::SimplePinhole, 500.0, 640, 480);
         for names in cameras {
@@ -103,26 +103,26 @@ mod tests {
         let left: &[&str] = &["left/a1.png", "left/a2.png", "left/a3.png"];
         let later: &[&str] = &["right/b7.png", "right/b8.png", "right/b9.png"];
         let alike: &[&str] = &["right/b1.png", "right/b2.png", "right/b3.png"];
-        let found = why(&[left, later]).unwrap();
+        let found = reason(&[left, later]).unwrap();
         assert!(
             found.contains("left, right") && found.contains("`features.timestamps`"),
             "{found}"
         );
-        assert_eq!(why(&[left, alike]), None);
-        assert_eq!(why(&[left, &later[..2]]), None, "too few");
-        assert_eq!(why(&[left]), None);
-        assert_eq!(why(&[]), None);
+        assert_eq!(reason(&[left, alike]), None);
+        assert_eq!(reason(&[left, &later[..2]]), None, "too few");
+        assert_eq!(reason(&[left]), None);
+        assert_eq!(reason(&[]), None);
     }
 
     #[test]
     fn cameras_in_one_folder_are_named_with_what_to_do() {
         let flat: Vec<String> = (0..8).map(|k| format!("cam{}_{:03}.png", k % 2, k / 2)).collect();
         let flat: Vec<&str> = flat.iter().map(String::as_str).collect();
-        let found = why(&[&flat]).unwrap();
+        let found = reason(&[&flat]).unwrap();
         assert!(found.contains("cam0_* and cam1_*"), "{found}");
         assert!(found.contains("a folder of its own"), "{found}");
         // Photos of two days, and one camera.
         let days: Vec<String> = (0..8).map(|k| format!("day{}_{:03}.png", k / 4, k)).collect();
-        assert_eq!(why(&[&days.iter().map(String::as_str).collect::<Vec<_>>()]), None);
+        assert_eq!(reason(&[&days.iter().map(String::as_str).collect::<Vec<_>>()]), None);
     }
 }

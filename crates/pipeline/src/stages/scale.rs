@@ -45,9 +45,9 @@ fn scale_model(model: &mut MappedModel, known: &[SensorPair], baseline_m: f64) -
     });
     let (factor, source) = match factor {
         Ok(factor) => factor,
-        Err(why) => {
-            let why = format!("the model was not scaled, because {why}");
-            return ScaleReport { baseline_m, factor: None, why };
+        Err(reason) => {
+            let reason = format!("the model was not scaled, because {reason}");
+            return ScaleReport { baseline_m, factor: None, reason };
         }
     };
     let (rotation, translation) = (UnitQuaternion::identity(), Vector3::zeros());
@@ -58,7 +58,7 @@ fn scale_model(model: &mut MappedModel, known: &[SensorPair], baseline_m: f64) -
     ScaleReport {
         baseline_m,
         factor: Some(factor),
-        why: format!("{source} is {baseline_m} m long"),
+        reason: format!("{source} is {baseline_m} m long"),
     }
 }
 
@@ -228,7 +228,7 @@ mod tests {
         let factor = BASELINE_M / BASELINE;
         assert!((report.factor.unwrap() - factor).abs() < EPSILON);
         assert_eq!(
-            report.why,
+            report.reason,
             "the baseline from left to right in the rig extrinsics is 0.62 m long"
         );
         let (_, track) = scaled.reconstruction.tracks().next().unwrap();
@@ -258,7 +258,7 @@ mod tests {
             "{report:?}"
         );
         assert!(
-            report.why.contains("from left to right in the mean of 9 relative poses"),
+            report.reason.contains("from left to right in the mean of 9 relative poses"),
             "{report:?}"
         );
     }
@@ -280,8 +280,8 @@ mod tests {
             let (same, report) = scale(&model, Vec::new());
             assert_eq!(report.factor, None, "{report:?}");
             assert!(
-                report.why.starts_with("the model was not scaled, because ")
-                    && report.why.contains(part),
+                report.reason.starts_with("the model was not scaled, because ")
+                    && report.reason.contains(part),
                 "{report:?}"
             );
             assert!(

@@ -56,11 +56,11 @@ impl LocatedModel {
             has_sidecar: false,
             note: None,
         };
-        if let Err(why) = this.read_sidecar() {
+        if let Err(reason) = this.read_sidecar() {
             let file = this.folder.join(SIDECAR);
             this.note = Some(format!(
                 "{} is not used, nor what it says of capture times, known intrinsics, rolling \
-                shutters and the rig: {why}",
+                shutters and the rig: {reason}",
                 file.display()
             ));
         }

@@ -291,5 +291,5 @@ pub struct ScaleReport {
     /// Metres per unit of the model before scaling. `None` if the model was not scaled.
     pub factor: Option<f64>,
     /// The source of the factor, or why there is none, in one sentence.
-    pub why: String,
+    pub reason: String,
 }

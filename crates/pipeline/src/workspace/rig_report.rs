@@ -32,7 +32,7 @@ pub struct ExtrinsicsReport {
     /// The chosen constraint: soft, rigid, or `None` for off.
     pub chosen: Option<ConstraintKind>,
     /// The reason for the choice, in one sentence.
-    pub why: String,
+    pub reason: String,
     /// With soft: standard deviation of each coordinate of the centre, as a fraction of the
     /// baseline.
     pub sigma_translation: Option<f64>,
@@ -210,7 +210,7 @@ fn extrinsics_report(
         Some(RigConstraint::Rigid) | None => None,
     };
     let errors = format!("{error_off_px:.3} px without and {error_px:.3} px with it");
-    let why = match (mode, constraint) {
+    let reason = match (mode, constraint) {
         (RigMode::Auto, None) => {
             "even a weak rig constraint would increase the error of held-out tracks".to_owned()
         }
@@ -224,7 +224,7 @@ fn extrinsics_report(
     };
     ExtrinsicsReport {
         chosen: constraint.map(ConstraintKind::from),
-        why,
+        reason,
         sigma_translation: sigmas.map(|sigmas| sigmas.0),
         sigma_rotation_deg: sigmas.map(|sigmas| sigmas.1),
         held_out_error_off_px: error_off_px,

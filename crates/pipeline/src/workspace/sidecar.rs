@@ -325,7 +325,7 @@ mod tests {
         written(dir.path(), &model(), Format::Binary, &[]);
         let text = std::fs::read_to_string(dir.path().join(SIDECAR)).unwrap();
         let with_file = |name: &str| text.replace("cameras.bin", name);
-        for (text, why) in [
+        for (text, reason) in [
             ("{".to_owned(), "EOF"),
             (text.replace("\"format\": 1", "\"format\": 2"), "format 2"),
             (text.replace("true", "7"), "expected a boolean"),
@@ -336,7 +336,7 @@ mod tests {
             std::fs::write(dir.path().join(SIDECAR), &text).unwrap();
             let found = LocatedModel::open(dir.path()).unwrap();
             let note = found.note().unwrap();
-            assert!(note.contains(why), "{note}");
+            assert!(note.contains(reason), "{note}");
             assert_eq!(found.reconstruction.num_tracks(), 2);
         }
     }

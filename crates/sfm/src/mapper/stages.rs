@@ -83,7 +83,7 @@ impl Refiner<'_> {
             if let Err(error) =
                 self.transaction(|refiner| refiner.run_stage(stage, descriptors, watch))?
             {
-                let failure = Failure { stage: optional, why: error.to_string() };
+                let failure = Failure { stage: optional, reason: error.to_string() };
                 notify(watch, &Event::Failed(failure.clone()))?;
                 failures.push(failure);
                 if matches!(stage, Stage::RollingShutter { is_last: false }) {

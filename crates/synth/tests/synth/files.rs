@@ -2,7 +2,7 @@
 
 use tiepoint_geometry::Rigid3;
 use tiepoint_geometry::nalgebra::{Quaternion, UnitQuaternion, Vector3};
-use tiepoint_synth::{Drive, DriveOptions, Effects, Mount, ViewDirection, image, write_ply};
+use tiepoint_synth::{Drive, DriveOptions, Effects, Mount, ViewDirection, image};
 
 fn drive(effects: Effects) -> Drive {
     let mounts = Mount::stereo(ViewDirection::Right, 0.5).to_vec();
@@ -90,21 +90,6 @@ fn rows_of_a_rolling_shutter_have_their_poses() {
     }
     assert_eq!(poses.len(), 2);
     assert!((poses[0].1.origin_in_a() - poses[1].1.origin_in_a()).norm() > 0.01);
-}
-
-#[test]
-fn clouds_are_written_as_binary_ply() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("cloud.ply");
-    write_ply(&path, &[Vector3::new(1.0, 2.0, 3.0), Vector3::new(-4.0, 0.5, 0.25)]).unwrap();
-    let bytes = std::fs::read(path).unwrap();
-    let header = b"end_header\n";
-    let body =
-        bytes.windows(header.len()).position(|window| window == header).unwrap() + header.len();
-    let numbers: Vec<f32> =
-        bytes[body..].chunks(4).map(|four| f32::from_le_bytes(four.try_into().unwrap())).collect();
-    assert_eq!(numbers, [1.0, 2.0, 3.0, -4.0, 0.5, 0.25]);
-    assert!(String::from_utf8_lossy(&bytes[..body]).contains("element vertex 2"));
 }
 
 #[test]

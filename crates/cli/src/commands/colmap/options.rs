@@ -133,7 +133,7 @@ impl Options {
             return Ok(None);
         }
         let threads = args::threads(&threads.to_string());
-        threads.map(|threads| Some(threads.get())).map_err(|why| format!("--{name}: {why}"))
+        threads.map(|threads| Some(threads.get())).map_err(|reason| format!("--{name}: {reason}"))
     }
 
     /// The seed of all random numbers.
