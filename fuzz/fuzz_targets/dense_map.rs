@@ -4,7 +4,7 @@
 use libfuzzer_sys::fuzz_target;
 
 use tiepoint_fuzz::file;
-use tiepoint_io::DenseMap;
+use tiepoint_io::dense::DenseMap;
 
 fuzz_target!(|data: &[u8]| {
     if let Ok(map) = DenseMap::read(&file("map.bin", data)) {

@@ -14,7 +14,8 @@ use tiepoint_geometry::{Rigid3, Sim3};
 use tiepoint_io::colmap::Format;
 use tiepoint_pipeline::workspace::LocatedModel;
 use tiepoint_scene::{CameraId, Image, ImageId, PointId};
-use tiepoint_sfm::{AdjustOptions, RefineIntrinsics, RollingShutter, Scope, adjust, row_poses};
+use tiepoint_sfm::adjust::{AdjustOptions, RefineIntrinsics, Scope, adjust};
+use tiepoint_sfm::rolling_shutter::{RollingShutter, row_poses};
 
 use crate::arrays::{invalid_array, matrix, numbers, pose, poses, rows, vector};
 use crate::camera::Camera;
@@ -37,10 +38,7 @@ pub(crate) struct Reconstruction {
 }
 
 impl Reconstruction {
-    fn new(
-        model: tiepoint_scene::Reconstruction,
-        shutters: Vec<RollingShutter>,
-    ) -> Self {
+    fn new(model: tiepoint_scene::Reconstruction, shutters: Vec<RollingShutter>) -> Self {
         let images = model.registered().map(|(id, ..)| id).collect();
         let points = model.tracks().map(|(id, _)| id).collect();
         Self { model, images, points, shutters }

@@ -15,9 +15,10 @@ use tiepoint_pipeline::input::{
     ABSOLUTE_MAX_PIXELS, Calibration, CalibrationSource, CameraGrouping, DEFAULT_MAX_PIXELS,
 };
 use tiepoint_pipeline::models::{ExportFormat, UndistortOptions};
+use tiepoint_pipeline::sfm::RigMode;
 use tiepoint_pipeline::sfm::geometry::{CameraModelKind, Intrinsics};
 use tiepoint_pipeline::sfm::matching::PairSelection;
-use tiepoint_pipeline::sfm::{Readout, RigMode};
+use tiepoint_pipeline::sfm::rolling_shutter::Readout;
 use tiepoint_synth::{Effects, RouteKind, ViewDirection};
 
 pub(crate) use values::{CropBox, ImageSize, Metres, Quantiles, Refine, threads};

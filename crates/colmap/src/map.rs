@@ -9,11 +9,10 @@ use serde::Serialize;
 use tiepoint_pipeline::input::ImageFolder;
 use tiepoint_pipeline::io::colmap::{Format, read_model};
 use tiepoint_pipeline::io::database::Database;
+use tiepoint_pipeline::sfm::model_tools::{Transferred, transfer_model};
 use tiepoint_pipeline::sfm::scene::{CorrespondenceGraph, ImageId, Reconstruction};
-use tiepoint_pipeline::sfm::{
-    self as sfm, ExistingPoses, KnownFrame, KnownRigs, MappedModel, Mapper, MapperOptions,
-    Transferred, transfer_model,
-};
+use tiepoint_pipeline::sfm::scene::{KnownFrame, KnownRigs};
+use tiepoint_pipeline::sfm::{self as sfm, ExistingPoses, MappedModel, Mapper, MapperOptions};
 use tiepoint_pipeline::stages::{color_points, named_event};
 use tiepoint_pipeline::{Error, Event, Stage, Watch, emit};
 

@@ -10,10 +10,12 @@ use tiepoint_pipeline::io::colmap::{Format, read_model};
 use tiepoint_pipeline::io::names::ByName;
 use tiepoint_pipeline::io::{ply, positions, similarity};
 use tiepoint_pipeline::models::{AdjustReport, SimilarityInfo};
+use tiepoint_pipeline::sfm::adjust::{AdjustOptions, RefineIntrinsics, Scope};
 use tiepoint_pipeline::sfm::geometry::nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use tiepoint_pipeline::sfm::geometry::{Loss, RansacOptions, Sim3, estimate};
+use tiepoint_pipeline::sfm::model_tools::merge_model;
 use tiepoint_pipeline::sfm::scene::{ImageId, Reconstruction};
-use tiepoint_pipeline::sfm::{self as sfm, AdjustOptions, RefineIntrinsics, Scope, merge_model};
+use tiepoint_pipeline::sfm::{self as sfm};
 use tiepoint_pipeline::store::write_file;
 use tiepoint_pipeline::workspace::{PLY_MARK, model_files};
 use tiepoint_pipeline::{Error, Event, Watch};
@@ -64,7 +66,7 @@ pub fn adjust(
         ..defaults
     };
     let start = Instant::now();
-    let summary = sfm::adjust(&mut model, &Scope::Global, &adjust, &mut [], &mut |step| {
+    let summary = sfm::adjust::adjust(&mut model, &Scope::Global, &adjust, &mut [], &mut |step| {
         watch(&Event::AdjustmentStep { step: step.number, cost: step.cost })
     })
     .map_err(Error::adjusting(input))?;

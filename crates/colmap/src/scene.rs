@@ -4,10 +4,10 @@ use std::path::Path;
 
 use rayon::prelude::*;
 use tiepoint_pipeline::io::database::{Database, read_stage_rows};
-use tiepoint_pipeline::sfm::VerifyOptions;
 use tiepoint_pipeline::sfm::scene::{
     CorrespondenceGraph, ImageId, ImagePair, OriginalIds, Reconstruction, TwoView,
 };
+use tiepoint_pipeline::sfm::two_view::VerifyOptions;
 use tiepoint_pipeline::stages::ImportedPairs;
 use tiepoint_pipeline::{Error, workspace};
 

@@ -7,13 +7,15 @@ use std::path::Path;
 use tiepoint_pipeline::input::ImageFolder;
 use tiepoint_pipeline::io::colmap::Format;
 use tiepoint_pipeline::io::database::Database;
+use tiepoint_pipeline::sfm::adjust::{AdjustOptions, RefineIntrinsics, Scope};
 use tiepoint_pipeline::sfm::geometry::Rng;
+use tiepoint_pipeline::sfm::register::{RegisterOptions, register_image};
 use tiepoint_pipeline::sfm::scene::{CorrespondenceGraph, ImageId, PointId, Reconstruction};
-use tiepoint_pipeline::sfm::{
-    self as sfm, AdjustOptions, FilterOptions, RefineIntrinsics, RegisterOptions, Scope,
-    TrackOptions, complete_tracks, filter_all_points, merge_tracks, register_image, retriangulate,
+use tiepoint_pipeline::sfm::tracks::{
+    FilterOptions, TrackOptions, complete_tracks, filter_all_points, merge_tracks, retriangulate,
     triangulate_image,
 };
+use tiepoint_pipeline::sfm::{self as sfm};
 use tiepoint_pipeline::stages::color_points;
 use tiepoint_pipeline::{Error, Event, Stage, Watch, emit};
 
@@ -89,7 +91,7 @@ pub fn triangulate(
         if model.num_tracks() == 0 {
             break;
         }
-        sfm::adjust(&mut model, &Scope::Global, &adjust, &mut [], &mut |step| {
+        sfm::adjust::adjust(&mut model, &Scope::Global, &adjust, &mut [], &mut |step| {
             watch(&Event::AdjustmentStep { step: step.number, cost: step.cost })
         })
         .map_err(Error::adjusting(input))?;

@@ -31,11 +31,15 @@ pub mod timestamps;
 pub mod trajectory;
 mod yaml;
 
-pub use dense_map::DenseMap;
 pub use error::{Error, Result};
-pub use fused_ply::FusedPly;
-pub use fused_visibility::FusedVisibility;
 pub use text::read_text;
 pub use tiepoint_features as features;
 pub use tiepoint_scene as scene;
 pub use tiepoint_store as store;
+
+/// Depth and normal maps, and the fused cloud with its visibility, as COLMAP writes them.
+pub mod dense {
+    pub use crate::dense_map::DenseMap;
+    pub use crate::fused_ply::FusedPly;
+    pub use crate::fused_visibility::FusedVisibility;
+}

@@ -25,7 +25,8 @@ use tiepoint_sfm::matching;
 use tiepoint_sfm::matching::retrieval::{RetrievalIndex, Vocabulary, VocabularyOptions};
 use tiepoint_sfm::matching::sift::{Prepared, match_prepared};
 use tiepoint_synth::image::DynamicImage;
-use tiepoint_synth::{Drive, DriveOptions, Exposure, Motion, Mount, RouteKind, ViewDirection};
+use tiepoint_synth::trajectory::Motion;
+use tiepoint_synth::{Drive, DriveOptions, Exposure, Mount, RouteKind, ViewDirection};
 
 /// Minimum overlap of a true loop pair.
 const MIN_OVERLAP: f64 = 0.3;

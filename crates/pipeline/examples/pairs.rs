@@ -18,7 +18,7 @@ use tiepoint_sfm::geometry::Rng;
 use tiepoint_sfm::matching::Options;
 use tiepoint_sfm::matching::sift::{Prepared, match_prepared, nearest, select};
 use tiepoint_sfm::scene::{ImageId, Keypoint, Match};
-use tiepoint_sfm::{ImageObservations, VerifyOptions, verify_pair};
+use tiepoint_sfm::two_view::{ImageObservations, VerifyOptions, verify_pair};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use tiepoint_pipeline::Error;
 use tiepoint_pipeline::input::Rgb;
-use tiepoint_pipeline::io::DenseMap;
+use tiepoint_pipeline::io::dense::DenseMap;
 use tiepoint_pipeline::io::ply::{self, Vertex};
 use tiepoint_pipeline::sfm::scene::Reconstruction;
 use tiepoint_pipeline::workspace::depth_map_path;

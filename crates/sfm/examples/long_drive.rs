@@ -8,7 +8,8 @@
 
 use std::time::Instant;
 
-use tiepoint_sfm::{Mapper, MapperOptions, RefineIntrinsics, RigMode};
+use tiepoint_sfm::adjust::RefineIntrinsics;
+use tiepoint_sfm::{Mapper, MapperOptions, RigMode};
 use tiepoint_synth::{Drive, DriveOptions, FeatureOptions, FeatureScene, MatchOptions, RouteKind};
 
 const RATE_HZ: f64 = 10.0;

@@ -9,7 +9,8 @@ use tiepoint_sfm::matching::{features, match_features};
 use tiepoint_sfm::scene::{
     Camera, CameraId, CorrespondenceGraph, Image, ImageId, ImagePair, Match, Reconstruction,
 };
-use tiepoint_sfm::{ImageObservations, Mapper, MapperOptions, VerifyOptions, convert, verify_pair};
+use tiepoint_sfm::two_view::{ImageObservations, VerifyOptions, verify_pair};
+use tiepoint_sfm::{Mapper, MapperOptions, convert};
 use tiepoint_synth::{Drive, DriveOptions, image};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {

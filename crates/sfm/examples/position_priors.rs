@@ -2,11 +2,12 @@
 //! --release -p tiepoint-sfm --example position_priors`.
 #![allow(clippy::print_stdout, reason = "an example shows its result")]
 
+use tiepoint_sfm::adjust::Term;
 use tiepoint_sfm::adjust::{Error, TermContext, TermFrame, Variables};
 use tiepoint_sfm::ba::factors::Prior;
 use tiepoint_sfm::geometry::{Loss, Rigid3, Rng, nalgebra::Vector3};
 use tiepoint_sfm::scene::{ImageId, Reconstruction};
-use tiepoint_sfm::{Mapper, MapperOptions, Term};
+use tiepoint_sfm::{Mapper, MapperOptions};
 use tiepoint_synth::{Drive, DriveOptions, FeatureOptions, FeatureScene, MatchOptions};
 
 /// Measured centres of the cameras and their standard deviations along each axis, in metres.

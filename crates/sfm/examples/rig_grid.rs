@@ -10,12 +10,11 @@
 
 use tiepoint_eval::{Alignment, Statistics, compare_poses};
 use tiepoint_scene::{CorrespondenceGraph, ImageId, Reconstruction};
-use tiepoint_sfm::{
-    CalibratedCamera, MappedModel, Mapper, MapperOptions, RefineIntrinsics, RigMode,
-};
-use tiepoint_synth::{
-    ClockEffects, Drive, DriveOptions, Effects, FeatureOptions, FeatureScene, MatchOptions,
-};
+use tiepoint_sfm::adjust::RefineIntrinsics;
+use tiepoint_sfm::rigs::CalibratedCamera;
+use tiepoint_sfm::{MappedModel, Mapper, MapperOptions, RigMode};
+use tiepoint_synth::effects::ClockEffects;
+use tiepoint_synth::{Drive, DriveOptions, Effects, FeatureOptions, FeatureScene, MatchOptions};
 
 const RATE_HZ: f64 = 5.0;
 

@@ -8,10 +8,10 @@ use std::f64::consts::PI;
 use tiepoint_geometry::Rigid3;
 use tiepoint_geometry::nalgebra::Vector3;
 use tiepoint_synth::image::{Rgb, RgbImage, imageops};
-use tiepoint_synth::{
-    Development, Drive, DriveOptions, Lens, LidarOptions, Mount, Renderer, RowPose, ViewDirection,
-    develop, reference_cloud,
-};
+use tiepoint_synth::lens::Lens;
+use tiepoint_synth::photometry::{Development, develop};
+use tiepoint_synth::render::{Renderer, RowPose};
+use tiepoint_synth::{Drive, DriveOptions, LidarOptions, Mount, ViewDirection, reference_cloud};
 
 const WIDTH: u32 = 400;
 const HEIGHT: u32 = 300;

@@ -19,8 +19,9 @@ use std::path::Path;
 use rayon::prelude::*;
 use tiepoint_geometry::Rng;
 use tiepoint_synth::image::{DynamicImage, codecs::jpeg::JpegEncoder};
+use tiepoint_synth::trajectory::Motion;
 use tiepoint_synth::{
-    Drive, DriveOptions, FeatureOptions, FeatureScene, Motion, Mount, RouteKind, ViewDirection,
+    Drive, DriveOptions, FeatureOptions, FeatureScene, Mount, RouteKind, ViewDirection,
 };
 
 /// Length of the loop for each photo, in metres.

@@ -8,11 +8,13 @@ use tiepoint_scene::{Camera, Image, Reconstruction};
 
 use crate::clocks::{Clock, schedule};
 use crate::error::{Error, require};
+use crate::lens::{ActionLens, Lens};
 use crate::photometry::{Development, develop, jpeg_round_trip};
 use crate::render::{Renderer, RowPose, surface_at};
-use crate::{
-    ActionLens, Effects, Lens, Motion, Mount, Route, StreetOptions, SurfacePoint, Trajectory, World,
-};
+use crate::route::Route;
+use crate::trajectory::{Motion, Trajectory};
+use crate::world::{StreetOptions, SurfacePoint, World};
+use crate::{Effects, Mount};
 
 /// Focal length of the ideal pinhole, in image widths.
 const PINHOLE_FOCAL: f64 = 0.60;

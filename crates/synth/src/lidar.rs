@@ -10,8 +10,9 @@ use rayon::prelude::*;
 use tiepoint_geometry::nalgebra::Vector3;
 use tiepoint_geometry::{Rigid3, Rng};
 
+use crate::Drive;
 use crate::error::{Error, require};
-use crate::{Drive, Ray};
+use crate::world::Ray;
 
 /// Position in the vehicle frame, in metres: centre of the roof, above the cameras.
 const POSITION_M: [f64; 3] = [0.0, -1.9, 1.1];

@@ -10,7 +10,7 @@ use rayon::prelude::*;
 use tiepoint_geometry::Rigid3;
 use tiepoint_geometry::nalgebra::{Matrix3, Vector2, Vector3};
 
-use crate::Lens;
+use crate::lens::Lens;
 use crate::world::{Hit, LANES, MovingCarPose, NOTHING, Packet, Pixel, Ray, SurfacePoint, World};
 
 /// Side of a tile of pixels, and of the grid of samples in a pixel: LANES is its square.

@@ -4,12 +4,12 @@ use std::fmt::Write as _;
 use std::fs;
 use std::path::Path;
 
-use tiepoint_geometry::nalgebra::Vector3;
-
+use crate::Exposure;
 use crate::drive::Drive;
 use crate::error::Error;
+use crate::lens::Lens;
 use crate::photometry::jpeg_bytes;
-use crate::{Exposure, Lens, Renderer};
+use crate::render::Renderer;
 
 /// Writes a file under a temporary name and renames it, so that no incomplete file has the name.
 fn write_file(path: &Path, bytes: &[u8]) -> Result<(), Error> {

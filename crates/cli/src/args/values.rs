@@ -5,8 +5,11 @@ use std::num::NonZeroUsize;
 use std::str::FromStr;
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use tiepoint_pipeline::sfm::RigMode;
+use tiepoint_pipeline::sfm::adjust::RefineIntrinsics;
 use tiepoint_pipeline::sfm::geometry::nalgebra::Vector3;
-use tiepoint_pipeline::sfm::{BoundingBox, Readout, RefineIntrinsics, RigMode};
+use tiepoint_pipeline::sfm::model_tools::BoundingBox;
+use tiepoint_pipeline::sfm::rolling_shutter::Readout;
 
 /// Width and height, in pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

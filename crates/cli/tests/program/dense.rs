@@ -9,7 +9,8 @@ use std::process::{Command, Stdio};
 use image::GrayImage;
 use serde_json::Value;
 use tiepoint_pipeline::io::colmap::{Format, read_model, write_model};
-use tiepoint_pipeline::io::{DenseMap, ply};
+use tiepoint_pipeline::io::dense::DenseMap;
+use tiepoint_pipeline::io::ply;
 use tiepoint_pipeline::sfm::scene::ImageId;
 
 use crate::{photos, tiepoint_in};

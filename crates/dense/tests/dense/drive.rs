@@ -7,7 +7,8 @@ use tiepoint_dense::stereo::{
 use tiepoint_dense::{Grey, PosedPinhole, StereoProblem, select_views};
 use tiepoint_geometry::nalgebra::{Vector2, Vector3};
 use tiepoint_scene::{Image, ImageId, Keypoint, Observation, Reconstruction, Track};
-use tiepoint_synth::{Drive, DriveOptions, Mount, RouteKind, SurfacePoint, ViewDirection};
+use tiepoint_synth::world::SurfacePoint;
+use tiepoint_synth::{Drive, DriveOptions, Mount, RouteKind, ViewDirection};
 
 /// Number of pixels between two seeds of an image, along each axis: as sparse as a sparse model.
 const SEED_STEP: usize = 24;

@@ -5,9 +5,10 @@ use std::path::Path;
 
 use tiepoint_geometry::Rigid3;
 use tiepoint_geometry::nalgebra::Vector3;
+use tiepoint_scene::rig::is_same_pose;
 use tiepoint_scene::{
     Camera, CameraId, Frame, Image, ImageId, Keypoint, Observation, OriginalIds, Reconstruction,
-    Rig, RigId, RigSensor, Track, is_same_pose,
+    Rig, RigId, RigSensor, Track,
 };
 
 use super::file_ids::NO_POINT;

@@ -2,7 +2,8 @@
 
 use std::fs;
 
-use tiepoint_io::{DenseMap, FusedPly, FusedVisibility, ply};
+use tiepoint_io::dense::{DenseMap, FusedPly, FusedVisibility};
+use tiepoint_io::ply;
 
 /// The layout that COLMAP's `read_write_dense.py` reads: x runs fastest, then y, then channels.
 #[test]

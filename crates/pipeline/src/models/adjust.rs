@@ -5,6 +5,7 @@ use std::time::Instant;
 
 use serde::Serialize;
 use tiepoint_io::bal::{Bal, BalCamera, BalObservation};
+use tiepoint_sfm::adjust::{AdjustOptions, RefineIntrinsics, Scope};
 use tiepoint_sfm::ba::factors::Reprojection;
 use tiepoint_sfm::ba::{
     EliminationOrder, IterationRecord, Key, Problem, Solver, Summary, Termination,
@@ -12,7 +13,7 @@ use tiepoint_sfm::ba::{
 use tiepoint_sfm::geometry::cameras::Radial;
 use tiepoint_sfm::geometry::nalgebra::{Quaternion, SVector, UnitQuaternion, Vector2, Vector3};
 use tiepoint_sfm::geometry::{Loss, Rigid3, so3};
-use tiepoint_sfm::{self as sfm, AdjustOptions, RefineIntrinsics, Scope};
+use tiepoint_sfm::{self as sfm};
 use tiepoint_store::write_file;
 
 use crate::workspace::located_model::LocatedModel;
@@ -89,7 +90,7 @@ fn adjust_colmap(
     let refine = if fix_intrinsics { RefineIntrinsics::NONE } else { defaults.refine };
     let options = AdjustOptions { refine, max_iterations: MAX_ITERATIONS, ..defaults };
     let start = Instant::now();
-    let summary = sfm::adjust(&mut model, &Scope::Global, &options, &mut [], &mut |step| {
+    let summary = sfm::adjust::adjust(&mut model, &Scope::Global, &options, &mut [], &mut |step| {
         watch(&Event::AdjustmentStep { step: step.number, cost: step.cost })
     })
     .map_err(Error::adjusting(located.folder()))?;
@@ -130,7 +131,7 @@ fn adjust_bal(
         ));
     }
     let poses: Vec<Key<Rigid3>> = cameras.iter().map(|(_, pose)| *pose).collect();
-    sfm::fix_gauge(&mut problem, &poses, &vec![false; poses.len()], None)
+    sfm::adjust::fix_gauge(&mut problem, &poses, &vec![false; poses.len()], None)
         .map_err(sfm::Error::from)?;
     let points: Vec<Key<Vector3<f64>>> =
         bal.points.iter().map(|xyz| problem.add_landmark(*xyz)).collect();

@@ -16,13 +16,13 @@ use tiepoint_sfm::convert::keypoint;
 use tiepoint_sfm::geometry::Rng;
 use tiepoint_sfm::matching::retrieval::{RetrievalIndex, Vocabulary};
 use tiepoint_sfm::matching::{Matcher, NearestNeighbours, PreparedImages};
+use tiepoint_sfm::model_tools::transfer_model;
+use tiepoint_sfm::register::{Localization, QueryCamera, RegisterOptions, localize_image};
 use tiepoint_sfm::scene::{
     Camera, CameraId, CorrespondenceGraph, Image, ImageId, ImagePair, Observation, Reconstruction,
 };
-use tiepoint_sfm::{
-    FilterOptions, ImageObservations, Localization, QueryCamera, RegisterOptions, VerifyOptions,
-    localize_image, transfer_model,
-};
+use tiepoint_sfm::tracks::FilterOptions;
+use tiepoint_sfm::two_view::{ImageObservations, VerifyOptions};
 use tiepoint_store::Error as StoreError;
 
 use crate::stages::extraction::extract_photo;

@@ -8,8 +8,8 @@ use tiepoint_io::names::ByName;
 use tiepoint_io::{positions, similarity};
 use tiepoint_sfm::geometry::nalgebra::Vector3;
 use tiepoint_sfm::geometry::{RansacOptions, Sim3, estimate};
+use tiepoint_sfm::model_tools::{BoundingBox, align_models, crop, merge_model};
 use tiepoint_sfm::scene::Reconstruction;
-use tiepoint_sfm::{BoundingBox, align_models, crop, merge_model};
 use tiepoint_store::write_file;
 
 use crate::Error;
@@ -292,7 +292,7 @@ fn align_to_model(
 }
 
 /// Why two models were not aligned.
-fn why_apart(found: &tiepoint_sfm::ModelAlignment) -> String {
+fn why_apart(found: &tiepoint_sfm::model_tools::ModelAlignment) -> String {
     match (found.num_common_images, found.num_common_observations) {
         (0, _) => "no image has a pose in both; images are compared by name".to_owned(),
         (images, 0) => format!(
@@ -307,7 +307,7 @@ fn why_apart(found: &tiepoint_sfm::ModelAlignment) -> String {
     }
 }
 
-fn info_of(found: &tiepoint_sfm::ModelAlignment, mean_distance: f64) -> AlignmentInfo {
+fn info_of(found: &tiepoint_sfm::model_tools::ModelAlignment, mean_distance: f64) -> AlignmentInfo {
     AlignmentInfo {
         common_images: found.num_common_images,
         compared: found.num_compared,

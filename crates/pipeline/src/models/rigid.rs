@@ -2,7 +2,7 @@
 //!
 //! The initial extrinsics, the clocks and the incorrect pairs come from mapping. For a model
 //! without a rig, they come from the robust mean of the relative poses and
-//! [`tiepoint_sfm::sensor_pairs`]. The images of a frame are those nearest in time. If the cameras
+//! [`tiepoint_sfm::rigs::sensor_pairs`]. The images of a frame are those nearest in time. If the cameras
 //! are not synchronised, these were taken at different instants, and the motion in between becomes
 //! reprojection error; the report has its size.
 
@@ -10,14 +10,16 @@ use std::collections::BTreeSet;
 use std::path::Path;
 
 use serde::Serialize;
+use tiepoint_sfm::MapperOptions;
+use tiepoint_sfm::adjust::AdjustOptions;
 use tiepoint_sfm::geometry::nalgebra::{UnitQuaternion, Vector3};
 use tiepoint_sfm::geometry::{Rigid3, Sim3};
 use tiepoint_sfm::rig::{Clock, RelativePose, robust_average};
-use tiepoint_sfm::scene::{ImageId, Reconstruction};
-use tiepoint_sfm::{
-    AdjustOptions, ClockState, FilterOptions, MapperOptions, RigPair, RigidCamera, SensorPair,
-    constrain_rigidly, relative_poses, sensor_pairs,
+use tiepoint_sfm::rigs::{
+    ClockState, RigPair, RigidCamera, SensorPair, constrain_rigidly, relative_poses, sensor_pairs,
 };
+use tiepoint_sfm::scene::{ImageId, Reconstruction};
+use tiepoint_sfm::tracks::FilterOptions;
 
 use crate::Error;
 use crate::workspace::image_names::{camera_of_stream, stream_of};

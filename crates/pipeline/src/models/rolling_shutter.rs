@@ -11,8 +11,8 @@ use tiepoint_io::gsplat;
 use tiepoint_io::nerfstudio::Motion;
 use tiepoint_sfm::convert::keypoint;
 use tiepoint_sfm::geometry::nalgebra::Vector2;
+use tiepoint_sfm::rolling_shutter::{RowPoses, row_poses};
 use tiepoint_sfm::scene::{ImageId, Reconstruction};
-use tiepoint_sfm::{RowPoses, row_poses};
 
 use crate::Error;
 use crate::workspace::located_model::LocatedModel;

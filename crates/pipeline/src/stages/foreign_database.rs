@@ -16,7 +16,7 @@ use tiepoint_sfm::geometry::nalgebra::Matrix3;
 use tiepoint_sfm::scene::{
     Camera, CameraId, Image, ImageId, ImagePair, Match, TwoView, TwoViewKind,
 };
-use tiepoint_sfm::{ImageObservations, VerifyOptions};
+use tiepoint_sfm::two_view::{ImageObservations, VerifyOptions};
 use tiepoint_store::{Error as StoreError, escaped};
 
 use crate::stages::option_keys;

@@ -3,8 +3,9 @@
 use std::path::{Path, PathBuf};
 
 use tiepoint_input::fingerprint::hash_files;
+use tiepoint_sfm::model_tools::{Transferred, transfer_model};
 use tiepoint_sfm::scene::Reconstruction;
-use tiepoint_sfm::{self as sfm, MapperOptions, RigMode, Transferred, transfer_model};
+use tiepoint_sfm::{self as sfm, MapperOptions, RigMode};
 
 use crate::Error;
 use crate::stages::option_keys;

@@ -12,12 +12,15 @@ use tiepoint_io::colmap::Format;
 use tiepoint_io::database::{Database, DatabaseFrame};
 use tiepoint_io::features::Descriptors;
 use tiepoint_io::{ply, timestamps};
+use tiepoint_sfm::adjust::RefineIntrinsics;
+use tiepoint_sfm::rigs::{rig_candidates, rig_pairs};
+use tiepoint_sfm::scene::KnownRigs;
 use tiepoint_sfm::scene::{
     Camera, CameraId, CorrespondenceGraph, Image, ImageId, Reconstruction, TwoViewKind,
 };
+use tiepoint_sfm::two_view::VerifyOptions;
 use tiepoint_sfm::{
-    self as sfm, ExistingPoses, Failure, KnownRigs, MappedModel, Mapper, MapperOptions,
-    OptionalStage, RefineIntrinsics, RigMode, VerifyOptions, rig_candidates, rig_pairs,
+    self as sfm, ExistingPoses, Failure, MappedModel, Mapper, MapperOptions, OptionalStage, RigMode,
 };
 
 use crate::stages::colors::color_points;
@@ -587,8 +590,8 @@ fn stage_models(workspace: &Workspace, models: &[MappedModel]) -> Result<Vec<Str
 mod tests {
     use tiepoint_sfm::geometry::nalgebra::{UnitQuaternion, Vector3};
     use tiepoint_sfm::geometry::{CameraModelKind, Intrinsics, Rigid3};
+    use tiepoint_sfm::rigs::{CalibratedCamera, CalibratedRig, RigConstraint, RigPair, SensorPair};
     use tiepoint_sfm::scene::{Camera, ImagePair};
-    use tiepoint_sfm::{CalibratedCamera, CalibratedRig, RigConstraint, RigPair, SensorPair};
 
     use super::*;
     use crate::workspace::located_model::LocatedModel;

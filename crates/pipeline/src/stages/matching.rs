@@ -17,7 +17,7 @@ use tiepoint_sfm::matching::{
     AutoPairs, Matcher, NearestNeighbours, PairSelection, PreparedImages,
 };
 use tiepoint_sfm::scene::{Camera, Image, ImageId, ImagePair, Keypoint, Match, TwoView};
-use tiepoint_sfm::{ImageObservations, VerifyOptions};
+use tiepoint_sfm::two_view::{ImageObservations, VerifyOptions};
 
 use crate::stages::foreign_database::{
     has_imported_pairs, require_descriptors, verify_imported_pairs,

@@ -11,12 +11,14 @@
 
 use tiepoint_input::cameras::{Calibration, CameraGrouping};
 use tiepoint_io::features::Extractor;
+use tiepoint_sfm::MapperOptions;
+use tiepoint_sfm::adjust::RefineIntrinsics;
 use tiepoint_sfm::geometry::{Intrinsics, Loss};
 use tiepoint_sfm::matching::Matcher;
-use tiepoint_sfm::{
-    FilterOptions, MapperOptions, Readout, RefineIntrinsics, RegisterOptions, TrackOptions,
-    VerifyOptions,
-};
+use tiepoint_sfm::register::RegisterOptions;
+use tiepoint_sfm::rolling_shutter::Readout;
+use tiepoint_sfm::tracks::{FilterOptions, TrackOptions};
+use tiepoint_sfm::two_view::VerifyOptions;
 
 use crate::stages::dense::options::DenseOptions;
 use crate::workspace::option_names::{

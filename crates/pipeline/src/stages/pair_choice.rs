@@ -7,12 +7,12 @@ use tiepoint_input::sequences::camera_images;
 use tiepoint_io::database::Database;
 use tiepoint_io::features::{DescriptorFormat, Features, SiftDescriptor};
 use tiepoint_io::timestamps;
+use tiepoint_sfm::frame_names::natural_order;
 use tiepoint_sfm::matching::retrieval::{
     GlobalDescriptor, ImageWords, InvertedIndex, RetrievalIndex, Similar, Vocabulary,
     VocabularyOptions, VocabularyTree,
 };
 use tiepoint_sfm::matching::{AutoPairs, PairSelection, Sequence, auto_pairs, num_similar};
-use tiepoint_sfm::natural_order;
 use tiepoint_sfm::scene::{Image, ImageId, ImagePair};
 
 use crate::{Error, Stage, Workspace};

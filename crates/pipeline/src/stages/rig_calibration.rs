@@ -6,8 +6,10 @@ use std::path::Path;
 use tiepoint_input::Error as InputError;
 use tiepoint_input::cameras::{camera_of_photo, is_named};
 use tiepoint_io::rig_calibration::{self, CameraOnRig, PhotosOfCamera};
+use tiepoint_sfm::frame_names::pairs_by_name;
+use tiepoint_sfm::rigs::frames_by_time;
 use tiepoint_sfm::scene::{Camera, CameraId, ImageId, Reconstruction, Rig, RigId, RigSensor};
-use tiepoint_sfm::{KnownFrame, KnownRigs, frames_by_time, pairs_by_name};
+use tiepoint_sfm::scene::{KnownFrame, KnownRigs};
 
 use crate::Error;
 

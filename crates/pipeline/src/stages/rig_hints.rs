@@ -3,8 +3,9 @@
 use std::collections::BTreeMap;
 
 use tiepoint_input::sequences::prefix;
+use tiepoint_sfm::frame_names::pairs_by_name;
+use tiepoint_sfm::rigs::{rig_candidates, rig_pairs};
 use tiepoint_sfm::scene::Reconstruction;
-use tiepoint_sfm::{pairs_by_name, rig_candidates, rig_pairs};
 
 /// Fewest photos of a camera of a vehicle.
 const MIN_PHOTOS: usize = 3;

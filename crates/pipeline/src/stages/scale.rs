@@ -2,16 +2,17 @@
 //!
 //! The baseline in model units is that of the estimated rig extrinsics. Without extrinsics it is
 //! that of the robust mean of the relative poses over all frames, which come from times, motion or
-//! names ([`tiepoint_sfm::sensor_pairs`]). Each model of a workspace is scaled by its own baseline.
+//! names ([`tiepoint_sfm::rigs::sensor_pairs`]). Each model of a workspace is scaled by its own baseline.
 
+use tiepoint_sfm::MappedModel;
 use tiepoint_sfm::geometry::Sim3;
 use tiepoint_sfm::geometry::nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use tiepoint_sfm::geometry::numeric::median;
 use tiepoint_sfm::rig::{RelativePose, robust_average};
-use tiepoint_sfm::scene::Reconstruction;
-use tiepoint_sfm::{
-    CalibratedCamera, ExtrinsicsCovariance, MappedModel, ReferencedImage, SensorPair, sensor_pairs,
+use tiepoint_sfm::rigs::{
+    CalibratedCamera, ExtrinsicsCovariance, ReferencedImage, SensorPair, sensor_pairs,
 };
+use tiepoint_sfm::scene::Reconstruction;
 
 use crate::workspace::image_names::stream_of;
 use crate::workspace::report::ScaleReport;
@@ -140,8 +141,8 @@ mod tests {
     use std::collections::BTreeMap;
     use tiepoint_sfm::geometry::{CameraModelKind, Intrinsics, Rigid3};
     use tiepoint_sfm::rig::RelativePoseStatistics;
+    use tiepoint_sfm::rigs::{CalibratedRig, RigConstraint};
     use tiepoint_sfm::scene::{Camera, CameraId, Image, ImageId, ImagePair, Track};
-    use tiepoint_sfm::{CalibratedRig, RigConstraint};
 
     /// Far above rounding errors.
     const EPSILON: f64 = 1e-12;

@@ -8,7 +8,9 @@ use tiepoint_io::database::Database;
 use tiepoint_sfm::scene::{
     Camera, CameraId, ImageId, ImagePair, Keypoint, Match, Reconstruction, TwoView, TwoViewKind,
 };
-use tiepoint_sfm::{Candidates, ImageObservations, Stationary, StationarySearch, VerifyOptions};
+use tiepoint_sfm::two_view::{
+    Candidates, ImageObservations, Stationary, StationarySearch, VerifyOptions,
+};
 
 use crate::Error;
 use crate::stages::verification::{of_keypoints, verify};
@@ -193,7 +195,7 @@ fn groups(scene: &Reconstruction) -> Vec<usize> {
 }
 
 fn reports(scene: &Reconstruction, groups: &[usize], found: &Stationary) -> Vec<OverlayReport> {
-    let report = |overlay: &tiepoint_sfm::Overlay| {
+    let report = |overlay: &tiepoint_sfm::two_view::Overlay| {
         let is_of = |(_, group): &(_, &usize)| **group == overlay.group;
         let cameras: BTreeSet<CameraId> =
             scene.images().zip(groups).filter(is_of).map(|((_, image), _)| image.camera).collect();

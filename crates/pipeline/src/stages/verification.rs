@@ -5,7 +5,7 @@ use tiepoint_sfm::convert::matched;
 use tiepoint_sfm::geometry::Rng;
 use tiepoint_sfm::matching::{self, PreparedImages};
 use tiepoint_sfm::scene::{ImageId, ImagePair, Match, TwoView};
-use tiepoint_sfm::{ImageObservations, VerifyOptions, verify_pair};
+use tiepoint_sfm::two_view::{ImageObservations, VerifyOptions, verify_pair};
 
 use crate::Error;
 

@@ -112,7 +112,7 @@ impl Place<'_> {
 
     fn lenses(&self) -> Vec<Warning> {
         let mut warnings = Vec::new();
-        for lens in sfm::lens_residuals(self.model) {
+        for lens in sfm::diagnostics::lens_residuals(self.model) {
             let camera = self.model.camera(lens.camera);
             let kind = camera.intrinsics.kind();
             let (model, id) = (self.path(), lens.camera.0 + 1);
@@ -145,13 +145,13 @@ impl Place<'_> {
     }
 
     fn scaled_images(&self) -> Vec<Warning> {
-        let mut by_camera: BTreeMap<CameraId, Vec<sfm::ImageScale>> = BTreeMap::new();
-        for found in sfm::image_scales(self.model) {
+        let mut by_camera: BTreeMap<CameraId, Vec<sfm::diagnostics::ImageScale>> = BTreeMap::new();
+        for found in sfm::diagnostics::image_scales(self.model) {
             by_camera.entry(found.camera).or_default().push(found);
         }
-        let warning = |(camera, found): (CameraId, Vec<sfm::ImageScale>)| {
-            let image = |scale: &sfm::ImageScale| {
-                let &sfm::ImageScale { image, scale, sd, .. } = scale;
+        let warning = |(camera, found): (CameraId, Vec<sfm::diagnostics::ImageScale>)| {
+            let image = |scale: &sfm::diagnostics::ImageScale| {
+                let &sfm::diagnostics::ImageScale { image, scale, sd, .. } = scale;
                 ScaledImage { name: self.name(image), scale, sd }
             };
             let images: Vec<ScaledImage> = deviating(&found).into_iter().map(image).collect();
@@ -175,17 +175,17 @@ impl Place<'_> {
 
     fn images(&self) -> Vec<Warning> {
         let mut warnings = Vec::new();
-        let jumps = sfm::jumps(self.model);
+        let jumps = sfm::diagnostics::jumps(self.model);
         if !jumps.is_empty() {
             let images = jumps.iter().map(|jump| self.name(jump.image)).collect();
             warnings.push(Warning::Jumps { model: self.path(), images });
         }
-        let few = sfm::images_with_few_observations(self.model, MIN_OBSERVATIONS);
+        let few = sfm::diagnostics::images_with_few_observations(self.model, MIN_OBSERVATIONS);
         if !few.is_empty() {
             let images = few.into_iter().map(|(image, count)| (self.name(image), count)).collect();
             warnings.push(Warning::FewObservations { model: self.path(), images });
         }
-        let observations = sfm::num_points_behind(self.model);
+        let observations = sfm::diagnostics::num_points_behind(self.model);
         if observations as f64 > MIN_SHARE_BEHIND * self.model.num_observations() as f64 {
             warnings.push(Warning::PointsBehind { model: self.path(), observations });
         }
@@ -195,7 +195,7 @@ impl Place<'_> {
 
 /// The images whose scale contradicts that of the others of their camera, the largest deviation
 /// first. What all images deviate by (the lens model, correlated points) is in their scatter.
-fn deviating(found: &[sfm::ImageScale]) -> Vec<&sfm::ImageScale> {
+fn deviating(found: &[sfm::diagnostics::ImageScale]) -> Vec<&sfm::diagnostics::ImageScale> {
     if found.len() < MIN_IMAGES_OF_CAMERA {
         return Vec::new();
     }
@@ -203,11 +203,11 @@ fn deviating(found: &[sfm::ImageScale]) -> Vec<&sfm::ImageScale> {
     let centre = median(&mut logs().collect::<Vec<_>>()).unwrap_or(0.0);
     let mut deviations: Vec<f64> = logs().map(|log| (log - centre).abs()).collect();
     let scatter = SD_OF_MAD * median(&mut deviations).unwrap_or(0.0);
-    let deviation = |image: &&sfm::ImageScale| (image.scale.ln() - centre).abs();
-    let is_other = |image: &&sfm::ImageScale| {
+    let deviation = |image: &&sfm::diagnostics::ImageScale| (image.scale.ln() - centre).abs();
+    let is_other = |image: &&sfm::diagnostics::ImageScale| {
         deviation(image) > MIN_SCALE_SIGMAS * scatter.hypot(image.sd / image.scale)
     };
-    let mut others: Vec<&sfm::ImageScale> = found.iter().filter(is_other).collect();
+    let mut others: Vec<&sfm::diagnostics::ImageScale> = found.iter().filter(is_other).collect();
     others.sort_by(|a, b| deviation(b).total_cmp(&deviation(a)));
     others
 }
@@ -217,11 +217,11 @@ mod tests {
     use super::*;
 
     /// Scales of images that agree to a thousandth, but for the last one.
-    fn scales(last: f64, count: usize) -> Vec<sfm::ImageScale> {
+    fn scales(last: f64, count: usize) -> Vec<sfm::diagnostics::ImageScale> {
         let log = |k: usize| if k + 1 == count { last } else { 1e-3 * (k as f64 % 3.0 - 1.0) };
         let scale = |k: usize| {
             let (image, camera) = (ImageId::from_index(k), CameraId(0));
-            sfm::ImageScale { image, camera, scale: log(k).exp(), sd: 1e-3 }
+            sfm::diagnostics::ImageScale { image, camera, scale: log(k).exp(), sd: 1e-3 }
         };
         (0..count).map(scale).collect()
     }

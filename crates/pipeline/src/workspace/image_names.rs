@@ -1,6 +1,6 @@
 //! The streams of cameras, by their names.
 
-use tiepoint_sfm::rig_candidates;
+use tiepoint_sfm::rigs::rig_candidates;
 use tiepoint_sfm::scene::{Camera, CameraId, Reconstruction};
 
 /// The stream of a camera's images; `camera N` for images without one.

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use tiepoint_io::colmap::{self, Format};
 use tiepoint_io::timestamps;
-use tiepoint_sfm::RollingShutter;
+use tiepoint_sfm::rolling_shutter::RollingShutter;
 use tiepoint_sfm::scene::{ImageId, Reconstruction};
 use tiepoint_store::{Error as StoreError, OutputFolder};
 

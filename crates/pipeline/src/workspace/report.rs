@@ -2,7 +2,7 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 use tiepoint_input::SkippedImage;
-use tiepoint_sfm::RollingShutter;
+use tiepoint_sfm::rolling_shutter::RollingShutter;
 use tiepoint_sfm::scene::{Camera, CameraId, Reconstruction};
 use tiepoint_store::{Error as StoreError, require_regular_file};
 

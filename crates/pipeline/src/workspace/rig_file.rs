@@ -7,8 +7,8 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 use tiepoint_sfm::geometry::Rigid3;
 use tiepoint_sfm::geometry::nalgebra::{Quaternion, UnitQuaternion, Vector3};
+use tiepoint_sfm::rigs::{CalibratedCamera, CalibratedRig, ClockState, RigConstraint};
 use tiepoint_sfm::scene::Reconstruction;
-use tiepoint_sfm::{CalibratedCamera, CalibratedRig, ClockState, RigConstraint};
 
 use crate::Error;
 use crate::workspace::format;

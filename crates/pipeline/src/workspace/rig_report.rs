@@ -2,11 +2,11 @@
 
 use serde::{Deserialize, Serialize};
 use tiepoint_sfm::rig::{RelativePose, RelativePoseStatistics, paper, relative_pose_statistics};
-use tiepoint_sfm::scene::{CameraId, ImagePair, Reconstruction};
-use tiepoint_sfm::{
-    CalibratedCamera, CalibratedRig, MappedModel, RigConstraint, RigMode, RigPair, RigPairs,
-    relative_poses, rig_pairs,
+use tiepoint_sfm::rigs::{
+    CalibratedCamera, CalibratedRig, RigConstraint, RigPair, RigPairs, relative_poses, rig_pairs,
 };
+use tiepoint_sfm::scene::{CameraId, ImagePair, Reconstruction};
+use tiepoint_sfm::{MappedModel, RigMode};
 
 use crate::workspace::image_names::stream_of;
 use crate::workspace::rig_file::{ConstraintKind, RigFile};

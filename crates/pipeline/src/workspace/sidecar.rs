@@ -9,8 +9,8 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 use tiepoint_input::fingerprint::hash_files;
 use tiepoint_io::colmap::MODEL_FILES;
-use tiepoint_sfm::RollingShutter;
 use tiepoint_sfm::geometry::Intrinsics;
+use tiepoint_sfm::rolling_shutter::RollingShutter;
 use tiepoint_sfm::scene::{CameraId, PointId, Reconstruction};
 
 use crate::Error;

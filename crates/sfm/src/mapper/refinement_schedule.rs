@@ -9,7 +9,7 @@ pub(crate) struct RefinementSchedule {
     pub(crate) tolerance: f64,
     /// Maximum number of iterations of an adjustment.
     pub(crate) max_iterations: usize,
-    /// Whether only selected points take part ([`crate::AdjustOptions::select_tracks`]).
+    /// Whether only selected points take part ([`crate::adjust::AdjustOptions::select_tracks`]).
     pub(crate) select_tracks: bool,
 }
 

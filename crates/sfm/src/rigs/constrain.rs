@@ -2,7 +2,7 @@
 //! soft`, `rigid` and `auto`.
 //!
 //! 1. The model is adjusted without a rig constraint. The motion of the cameras gives initial clock
-//!    offsets ([`crate::sensor_pairs`]).
+//!    offsets ([`crate::rigs::sensor_pairs`]).
 //! 2. The extrinsics of each camera are the robust average of its poses relative to the
 //!    interpolated poses of the reference camera. Images far from the average are gated. A gated
 //!    image is constrained if its two-view geometry agrees with the extrinsics (the model is split

@@ -8,7 +8,8 @@ use tiepoint_scene::{
     Camera, CorrespondenceGraph, Image, ImageId, ImagePair, Keypoint, Match, Reconstruction,
     TwoView,
 };
-use tiepoint_sfm::{ImageObservations, Mapper, MapperOptions, VerifyOptions, verify_pair};
+use tiepoint_sfm::two_view::{ImageObservations, VerifyOptions, verify_pair};
+use tiepoint_sfm::{Mapper, MapperOptions};
 
 /// Standard deviation of a keypoint's position, in pixels.
 const NOISE_PX: f64 = 0.5;

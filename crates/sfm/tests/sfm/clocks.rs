@@ -6,13 +6,11 @@ use std::ops::Range;
 use tiepoint_geometry::nalgebra::Vector3;
 use tiepoint_geometry::{CameraModelKind, Intrinsics, Rigid3, Rng, so3};
 use tiepoint_scene::{Camera, Image, Reconstruction};
-use tiepoint_sfm::{
-    CalibratedCamera, ClockState, MappedModel, Mapper, MapperOptions, RefineIntrinsics,
-    RigConstraint, RigMode, sensor_pairs,
-};
-use tiepoint_synth::{
-    ClockEffects, Drive, DriveOptions, Effects, FeatureOptions, FeatureScene, MatchOptions,
-};
+use tiepoint_sfm::adjust::RefineIntrinsics;
+use tiepoint_sfm::rigs::{CalibratedCamera, ClockState, RigConstraint, sensor_pairs};
+use tiepoint_sfm::{MappedModel, Mapper, MapperOptions, RigMode};
+use tiepoint_synth::effects::ClockEffects;
+use tiepoint_synth::{Drive, DriveOptions, Effects, FeatureOptions, FeatureScene, MatchOptions};
 
 use crate::common::sample;
 

@@ -2,7 +2,8 @@
 
 use std::ops::ControlFlow;
 
-use tiepoint_sfm::{Event, Mapper, MapperOptions, RefineIntrinsics};
+use tiepoint_sfm::adjust::RefineIntrinsics;
+use tiepoint_sfm::{Event, Mapper, MapperOptions};
 use tiepoint_synth::{Drive, DriveOptions, FeatureOptions, FeatureScene, MatchOptions};
 
 use crate::common::ate_m;

@@ -10,10 +10,9 @@ use tiepoint_scene::{
     Camera, CorrespondenceGraph, Image, ImageId, ImagePair, Keypoint, Match, Observation,
     Reconstruction, Track, TwoView,
 };
-use tiepoint_sfm::{
-    AdjustOptions, Event, ImageObservations, Mapper, MapperOptions, RefineIntrinsics, Scope,
-    VerifyOptions, adjust, verify_pair,
-};
+use tiepoint_sfm::adjust::{AdjustOptions, RefineIntrinsics, Scope, adjust};
+use tiepoint_sfm::two_view::{ImageObservations, VerifyOptions, verify_pair};
+use tiepoint_sfm::{Event, Mapper, MapperOptions};
 
 use crate::common::sample;
 
@@ -322,7 +321,7 @@ fn held_out_tracks_take_no_part_and_have_the_expected_error() {
     }
     // Each observation has two coordinates with noise NOISE_PX, and each point takes three degrees
     // of freedom. The poses, from four times as many points, add less than half a percent.
-    let rms_px = tiepoint_sfm::held_out_rms_px(&model).unwrap();
+    let rms_px = tiepoint_sfm::tracks::held_out_rms_px(&model).unwrap();
     let expected_px = NOISE_PX * (degrees_of_freedom as f64 / num_observations as f64).sqrt();
     let max_share = MAX_DEVIATIONS / (2.0 * degrees_of_freedom as f64).sqrt();
     assert!((rms_px / expected_px - 1.0).abs() < max_share, "{rms_px} px, expected {expected_px}");
@@ -346,7 +345,7 @@ fn held_out_tracks_take_no_part_and_have_the_expected_error() {
 fn a_fraction_of_the_tracks_is_held_out_and_restored() {
     let mut model = run(&truth(9, FOCAL_PX, true), &MapperOptions::default());
     let num_tracks = model.num_tracks() as f64;
-    let held_out = tiepoint_sfm::hold_out_tracks(&mut model, 0.2, 1);
+    let held_out = tiepoint_sfm::tracks::hold_out_tracks(&mut model, 0.2, 1);
     assert_eq!(model.tracks().filter(|(_, track)| track.is_held_out).count(), held_out);
     // Each track is drawn independently: a binomial number.
     let deviation = (0.2 * 0.8 / num_tracks).sqrt();
@@ -354,6 +353,6 @@ fn a_fraction_of_the_tracks_is_held_out_and_restored() {
         (held_out as f64 / num_tracks - 0.2).abs() < MAX_DEVIATIONS * deviation,
         "{held_out} of {num_tracks}"
     );
-    assert_eq!(tiepoint_sfm::hold_out_tracks(&mut model, 0.0, 1), 0);
+    assert_eq!(tiepoint_sfm::tracks::hold_out_tracks(&mut model, 0.0, 1), 0);
     assert!(model.tracks().all(|(_, track)| !track.is_held_out));
 }

@@ -5,13 +5,12 @@ use std::ops::ControlFlow;
 
 use tiepoint_geometry::{Rigid3, so3};
 use tiepoint_scene::CorrespondenceGraph;
-use tiepoint_sfm::{
-    CalibratedCamera, ClockState, Event, MappedModel, Mapper, MapperOptions, RefineIntrinsics,
-    RigMode,
-};
+use tiepoint_sfm::adjust::RefineIntrinsics;
+use tiepoint_sfm::rigs::{CalibratedCamera, ClockState};
+use tiepoint_sfm::{Event, MappedModel, Mapper, MapperOptions, RigMode};
+use tiepoint_synth::effects::ClockEffects;
 use tiepoint_synth::{
-    ClockEffects, Drive, DriveOptions, Effects, FeatureOptions, FeatureScene, MatchOptions, Mount,
-    ViewDirection,
+    Drive, DriveOptions, Effects, FeatureOptions, FeatureScene, MatchOptions, Mount, ViewDirection,
 };
 
 /// Baseline, in metres.

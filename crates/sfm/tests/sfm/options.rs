@@ -1,9 +1,11 @@
 //! Options out of their range are refused by name, and all others work.
 
 use tiepoint_geometry::{Loss, OptionError};
-use tiepoint_sfm::{
-    FilterOptions, Mapper, MapperOptions, Readout, RegisterOptions, TrackOptions, VerifyOptions,
-};
+use tiepoint_sfm::register::RegisterOptions;
+use tiepoint_sfm::rolling_shutter::Readout;
+use tiepoint_sfm::tracks::{FilterOptions, TrackOptions};
+use tiepoint_sfm::two_view::VerifyOptions;
+use tiepoint_sfm::{Mapper, MapperOptions};
 use tiepoint_synth::{Drive, DriveOptions, FeatureOptions, FeatureScene, MatchOptions};
 
 /// Values that no threshold has.

@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use tiepoint_geometry::Rng;
 use tiepoint_geometry::nalgebra::Vector2;
 use tiepoint_scene::{ImageId, ImagePair, Keypoint, Match};
-use tiepoint_sfm::{Stationary, StationarySearch, VerifyOptions};
+use tiepoint_sfm::two_view::{Stationary, StationarySearch, VerifyOptions};
 
 const SEED: u64 = 1;
 /// The image, in pixels.

@@ -2,7 +2,8 @@
 
 use std::ops::ControlFlow;
 
-use tiepoint_sfm::{AdjustOptions, Mapper, MapperOptions, RefineIntrinsics, Scope, adjust};
+use tiepoint_sfm::adjust::{AdjustOptions, RefineIntrinsics, Scope, adjust};
+use tiepoint_sfm::{Mapper, MapperOptions};
 use tiepoint_synth::{Drive, DriveOptions, FeatureOptions, FeatureScene, MatchOptions};
 
 use crate::common::ate_m;

@@ -9,9 +9,9 @@ use tiepoint_geometry::{CameraModelKind, Intrinsics, Rigid3, Rng};
 use tiepoint_scene::{
     Camera, CorrespondenceGraph, Image, ImagePair, Keypoint, Match, Reconstruction,
 };
-use tiepoint_sfm::{
-    ImageObservations, Mapper, MapperOptions, RefineIntrinsics, VerifyOptions, verify_pair,
-};
+use tiepoint_sfm::adjust::RefineIntrinsics;
+use tiepoint_sfm::two_view::{ImageObservations, VerifyOptions, verify_pair};
+use tiepoint_sfm::{Mapper, MapperOptions};
 
 use crate::common::sample;
 

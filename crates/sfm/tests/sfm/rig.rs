@@ -8,12 +8,13 @@ use tiepoint_scene::{
     Camera, CorrespondenceGraph, Image, ImageId, ImagePair, Keypoint, Match, Reconstruction,
     TwoView,
 };
+use tiepoint_sfm::adjust::{AdjustOptions, Gauge, RefineIntrinsics, Scope, Term, adjust};
 use tiepoint_sfm::rig::{paper, relative_pose_statistics};
-use tiepoint_sfm::{
-    AdjustOptions, BaselineTerm, Event, Gauge, ImageObservations, LinkWeights, MappedModel, Mapper,
-    MapperOptions, RefineIntrinsics, RigConstraint, RigMode, Scope, Term, VerifyOptions, adjust,
-    final_links, growing_links, relative_poses, rig_pairs, verify_pair,
+use tiepoint_sfm::rigs::{
+    BaselineTerm, LinkWeights, RigConstraint, final_links, growing_links, relative_poses, rig_pairs,
 };
+use tiepoint_sfm::two_view::{ImageObservations, VerifyOptions, verify_pair};
+use tiepoint_sfm::{Event, MappedModel, Mapper, MapperOptions, RigMode};
 
 use crate::common::{ate_m, sample};
 

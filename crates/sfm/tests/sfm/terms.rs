@@ -8,9 +8,8 @@ use tiepoint_scene::{
     CorrespondenceGraph, ImageId, KnownFrame, KnownRigs, Reconstruction, Rig, RigId, RigSensor,
 };
 use tiepoint_sfm::adjust::{Error, TermContext, TermFrame, Variables};
-use tiepoint_sfm::{
-    ExistingPoses, MappedModel, Mapper, MapperOptions, RefineIntrinsics, RigMode, Scope, Term,
-};
+use tiepoint_sfm::adjust::{RefineIntrinsics, Scope, Term};
+use tiepoint_sfm::{ExistingPoses, MappedModel, Mapper, MapperOptions, RigMode};
 use tiepoint_synth::{Drive, DriveOptions, FeatureOptions, FeatureScene, MatchOptions};
 
 use position_priors::Positions;

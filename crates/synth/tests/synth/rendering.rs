@@ -3,10 +3,10 @@
 use image::RgbImage;
 use tiepoint_geometry::nalgebra::{Matrix2, Vector2, Vector3};
 use tiepoint_geometry::{Rigid3, Rng};
-use tiepoint_synth::{
-    ActionLens, Drive, DriveOptions, Effects, Lens, Material, Mount, Quad, Radiance, Renderer,
-    RowPose, Surface, ViewDirection, World, image,
-};
+use tiepoint_synth::lens::{ActionLens, Lens};
+use tiepoint_synth::render::{Radiance, Renderer, RowPose};
+use tiepoint_synth::world::{Material, Quad, Surface, World};
+use tiepoint_synth::{Drive, DriveOptions, Effects, Mount, ViewDirection, image};
 
 const WIDTH: u32 = 640;
 const HEIGHT: u32 = 480;

@@ -6,10 +6,11 @@ use tiepoint_colmap::{
     MapDatabaseOptions, MappedFolder, TriangulateOptions, configure_rigs, map, register,
     triangulate,
 };
+use tiepoint_pipeline::sfm::MapperOptions;
+use tiepoint_pipeline::sfm::adjust::RefineIntrinsics;
 use tiepoint_pipeline::sfm::geometry::OptionError;
-use tiepoint_pipeline::sfm::{
-    FilterOptions, MapperOptions, RefineIntrinsics, RegisterOptions, TrackOptions,
-};
+use tiepoint_pipeline::sfm::register::RegisterOptions;
+use tiepoint_pipeline::sfm::tracks::{FilterOptions, TrackOptions};
 
 use super::options::Options;
 use crate::failure::Failure;

@@ -4,8 +4,8 @@ use std::sync::Arc;
 
 use tiepoint_colmap::{DatabasePairs, match_database};
 use tiepoint_pipeline::Error;
-use tiepoint_pipeline::sfm::VerifyOptions;
 use tiepoint_pipeline::sfm::matching::{self, NearestNeighbours};
+use tiepoint_pipeline::sfm::two_view::VerifyOptions;
 use tiepoint_pipeline::stages::MatchOptions;
 
 use super::options::Options;

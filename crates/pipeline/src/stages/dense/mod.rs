@@ -20,7 +20,7 @@ use tiepoint_dense::{Grey, PosedPinhole, StereoProblem, select_views};
 use tiepoint_input::images::DepthScale;
 use tiepoint_input::{Luma, Rgb};
 use tiepoint_io::colmap::Format;
-use tiepoint_io::{DenseMap, FusedPly, FusedVisibility};
+use tiepoint_io::dense::{DenseMap, FusedPly, FusedVisibility};
 use tiepoint_sfm::scene::{Image, ImageId, Reconstruction};
 
 use self::masks::Masks;
