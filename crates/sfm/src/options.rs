@@ -60,7 +60,7 @@ pub struct MapperOptions {
     pub register: RegisterOptions,
     /// Minimum number of triangulated matches of the initial pair.
     pub min_initial_inliers: usize,
-    /// Smaller models are dropped unless there is only one.
+    /// Smaller models are dropped, but for the first, whatever its size.
     pub min_model_size: usize,
     /// Loss on each weighted residual while the model grows.
     pub loss: Loss,

@@ -391,12 +391,12 @@ fn image_without_focal(scene: &Reconstruction) -> Option<&Image> {
 fn apply_input_model(
     scene: &mut Reconstruction,
     model: &OpenedModel,
-    refine_extrinsics: bool,
+    refines_known_intrinsics: bool,
     watch: Watch,
 ) -> Result<(), Error> {
     let found = model.transfer(scene)?;
     let is_replaced = |(id, image): &(ImageId, &Image)| {
-        !refine_extrinsics
+        !refines_known_intrinsics
             && scene.calibrated.contains(&image.camera)
             && found.existing.contains(id)
             && found.scene.camera_of(*id).intrinsics != scene.camera(image.camera).intrinsics

@@ -425,7 +425,7 @@ mod tests {
     }
 
     #[test]
-    fn keys_are_unique_and_include_all_of_the_command_line() {
+    fn keys_are_unique() {
         let mapper = MapperOptions::default();
         let methods = extractor_options(&SiftExtractor::default())
             .chain(matcher_options(&NearestNeighbours::default()))

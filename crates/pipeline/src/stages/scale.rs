@@ -2,7 +2,8 @@
 //!
 //! The baseline in model units is that of the estimated rig extrinsics. Without extrinsics it is
 //! that of the robust mean of the relative poses over all frames, which come from times, motion or
-//! names ([`tiepoint_sfm::rigs::sensor_pairs`]). Each model of a workspace is scaled by its own baseline.
+//! names ([`tiepoint_sfm::rigs::sensor_pairs`]). Each model of a workspace is scaled by its own
+//! baseline.
 
 use tiepoint_sfm::MappedModel;
 use tiepoint_sfm::geometry::Sim3;

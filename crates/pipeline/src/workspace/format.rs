@@ -1,6 +1,7 @@
 //! The format of the files that only this program reads again: `stages.json`, its rows in the
-//! database, and `rig.json`. Each begins with the number of its format, so that a file of another
-//! version is refused instead of being misread.
+//! database, and the `tiepoint.json` of a model. Each begins with the number of its format, so that
+//! a file of another version is refused instead of being misread. `rig.json` is written so, too,
+//! and not read.
 
 use std::path::Path;
 

@@ -1,4 +1,5 @@
-//! `rig.json`: the estimated rig extrinsics and time offsets with their covariance.
+//! `rig.json`: the estimated rig extrinsics and time offsets with their covariance. The
+//! `tiepoint.json` of a model holds the same, and commands read it there.
 
 use std::cmp::Ordering;
 use std::collections::BTreeSet;
