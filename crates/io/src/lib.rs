@@ -8,10 +8,8 @@ pub mod colmap;
 mod counted_file;
 #[cfg(feature = "database")]
 pub mod database;
-mod dense_map;
+pub mod dense;
 mod error;
-mod fused_ply;
-mod fused_visibility;
 pub mod gltf;
 pub mod gsplat;
 pub mod kitti;
@@ -36,10 +34,3 @@ pub use text::read_text;
 pub use tiepoint_features as features;
 pub use tiepoint_scene as scene;
 pub use tiepoint_store as store;
-
-/// Depth and normal maps, and the fused cloud with its visibility, as COLMAP writes them.
-pub mod dense {
-    pub use crate::dense_map::DenseMap;
-    pub use crate::fused_ply::FusedPly;
-    pub use crate::fused_visibility::FusedVisibility;
-}

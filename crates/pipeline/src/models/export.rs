@@ -244,19 +244,26 @@ fn write_as(
             (poses, points) = (trajectory.len(), 0);
         }
         ExportFormat::Tum => {
-            let timed = trajectory_of(model).into_iter().filter_map(|(image, cam_from_world)| {
-                Some(TimedPose { time_s: image.time_s?, cam_from_world })
-            });
-            let mut timed: Vec<TimedPose> = timed.collect();
-            timed.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
-            if timed.is_empty() {
-                return Err(Error::NoTimes { model: folder() });
-            }
+            let timed = timed_trajectory_of(located)?;
             file(Some(COMMENT_MARK), &|to| Ok(trajectory::write_tum(to, &timed)?))?;
             (poses, points) = (timed.len(), 0);
         }
     }
     Ok(Exported { path: to.to_owned(), poses, points, photos_in_place: in_place, rigid: None })
+}
+
+/// The poses of [`trajectory_of`] that have a time, in order of time.
+fn timed_trajectory_of(located: &LocatedModel) -> Result<Vec<TimedPose>, Error> {
+    let timed = trajectory_of(&located.reconstruction).into_iter();
+    let timed = timed.filter_map(|(image, cam_from_world)| {
+        Some(TimedPose { time_s: image.time_s?, cam_from_world })
+    });
+    let mut timed: Vec<TimedPose> = timed.collect();
+    timed.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
+    match timed.is_empty() {
+        true => Err(Error::NoTimes { model: located.folder().to_owned() }),
+        false => Ok(timed),
+    }
 }
 
 /// Kalibr's file of the rig of a model, and the number of its cameras.

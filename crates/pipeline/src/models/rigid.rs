@@ -4,8 +4,7 @@
 //! without a rig, they come from the robust mean of the relative poses and
 //! [`tiepoint_sfm::rigs::sensor_pairs`]. The images of a frame are those nearest in time. If the
 //! cameras are not synchronised, these were taken at different instants, and the motion in between
-//! becomes
-//! reprojection error; the report has its size.
+//! becomes reprojection error; the report has its size.
 
 use std::collections::BTreeSet;
 use std::path::Path;

@@ -264,20 +264,20 @@ impl Report {
     /// Removes the parts on stages that are not complete.
     pub(crate) fn keep_only(&mut self, is_complete: impl Fn(Stage) -> bool) {
         let Self { stages, models, warnings, .. } = self;
-        if !is_complete(Stage::Features) {
-            stages.features = None;
-        }
-        if !is_complete(Stage::Match) {
-            stages.matches = None;
-            warnings.clear();
-        }
-        if !is_complete(Stage::Map) {
-            stages.map = None;
-            models.clear();
-            warnings.retain(Warning::is_of_matches);
-        }
-        if !is_complete(Stage::Dense) {
-            stages.dense = None;
+        for stage in Stage::ALL.into_iter().filter(|stage| !is_complete(*stage)) {
+            match stage {
+                Stage::Features => stages.features = None,
+                Stage::Match => {
+                    stages.matches = None;
+                    warnings.clear();
+                }
+                Stage::Map => {
+                    stages.map = None;
+                    models.clear();
+                    warnings.retain(Warning::is_of_matches);
+                }
+                Stage::Dense => stages.dense = None,
+            }
         }
     }
 }
