@@ -9,7 +9,7 @@ use crate::variable::{Key, Values};
 /// standard deviation of the measurement, so that it has unit variance.
 ///
 /// [`Factor::linearize`] is required. Implement [`Factor::residual`] too if it is much cheaper.
-/// [`AutoDiff`](crate::AutoDiff) differentiates a residual automatically.
+/// [`AutoDiff`](crate::autodiff::AutoDiff) differentiates a residual automatically.
 ///
 /// `None` means that the factor is invalid at these values, such as the projection of a point
 /// behind the camera. The front page of the crate describes how the solver treats invalid factors.
