@@ -291,13 +291,13 @@ fn photos_become_a_model_and_a_second_run_keeps_it() {
     let message = |options: &Options| run(folder, options).unwrap_err().to_string();
     let sift = FeatureOptions { calibration: calibration(), ..Default::default() };
     let text = message(&Options { features: sift, ..same.clone() });
-    assert!(text.contains("with features.detector corners and not sift"), "{text}");
+    assert!(text.contains("with `features.detector` corners and not sift"), "{text}");
     let extractor = Arc::new(Corners { max_features: 99 });
     let fewer = FeatureOptions { extractor, calibration: calibration(), ..Default::default() };
     let text = message(&Options { features: fewer, ..same });
-    assert!(text.contains("with features.detector.max_features 1500 and not 99"), "{text}");
+    assert!(text.contains("with `features.detector.max_features` 1500 and not 99"), "{text}");
     let text = message(&options());
-    assert!(text.contains("with match.matcher batched and not nearest_neighbours"), "{text}");
+    assert!(text.contains("with `match.matcher` batched and not nearest_neighbours"), "{text}");
 }
 
 #[test]

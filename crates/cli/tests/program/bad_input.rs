@@ -162,7 +162,7 @@ fn wrong_command_lines() {
         wrong(&line, &[&format!("\"{value}\""), "use auto, exhaustive, sequential:N"]);
     }
     wrong("reconstruct {} -o {}/ws --rig tight", &["tight", "rigid, auto"]);
-    wrong("reconstruct {} -o {}/ws --redo all", &["no stage all", "features, match, map"]);
+    wrong("reconstruct {} -o {}/ws --redo all", &["'all'", "features, match, map"]);
     wrong(
         "reconstruct {} -o {}/ws --intrinsics 1,2,3",
         &["--intrinsics has 3 numbers", "fx,fy,cx,cy"],

@@ -214,7 +214,225 @@ fn deviating(found: &[sfm::diagnostics::ImageScale]) -> Vec<&sfm::diagnostics::I
 
 #[cfg(test)]
 mod tests {
+    use tiepoint_sfm::geometry::nalgebra::{UnitQuaternion, Vector3};
+    use tiepoint_sfm::geometry::{CameraModelKind, Intrinsics, Rigid3, Rng};
+    use tiepoint_sfm::scene::{Camera, Image, Keypoint, Observation, Track};
+
     use super::*;
+    use crate::workspace::rig_report::RigReport;
+
+    const FOCAL_PX: f64 = 500.0;
+    /// Width of the images.
+    const SIDE_PX: u32 = 640;
+    const NUM_IMAGES: usize = 8;
+    /// More than a ring of the residuals needs, and than an image.
+    const NUM_POINTS: usize = 400;
+
+    fn radial(focal_px: f64, k: f64) -> Intrinsics {
+        let params = [focal_px, f64::from(SIDE_PX) / 2.0, 240.0, k];
+        Intrinsics::new(CameraModelKind::SimpleRadial, &params).unwrap()
+    }
+
+    /// A camera that drives along x and looks to the side, an image a second, one unit apart; its
+    /// points are 6 to 10 units away, and its observations are exact.
+    fn drive(intrinsics: Intrinsics) -> Reconstruction {
+        let mut model = Reconstruction::default();
+        let camera = model.add_camera(Camera {
+            intrinsics,
+            width: SIDE_PX,
+            height: 480,
+            has_focal_prior: false,
+        });
+        let mut rng = Rng::stream(1, &[]);
+        let mut between = |low: f64, high: f64| low + (high - low) * rng.uniform();
+        let points: Vec<Vector3<f64>> = (0..NUM_POINTS)
+            .map(|_| Vector3::new(between(-5.0, 12.0), between(-4.0, 4.0), between(6.0, 10.0)))
+            .collect();
+        let poses: Vec<Rigid3> = (0..NUM_IMAGES)
+            .map(|k| Rigid3::new(UnitQuaternion::identity(), -Vector3::x() * k as f64))
+            .collect();
+        let mut observations = vec![Vec::new(); NUM_POINTS];
+        for (k, pose) in poses.iter().enumerate() {
+            let is_inside = |pixel: &tiepoint_sfm::geometry::nalgebra::Vector2<f64>| {
+                (0.0..f64::from(SIDE_PX)).contains(&pixel.x) && (0.0..480.0).contains(&pixel.y)
+            };
+            let mut keypoints = Vec::new();
+            for (point, xyz) in points.iter().enumerate() {
+                let pixel = intrinsics.project(&(*pose * *xyz)).filter(is_inside);
+                if let Some(pixel) = pixel {
+                    let (image, keypoint) = (ImageId::from_index(k), keypoints.len() as u32);
+                    observations[point].push(Observation { image, keypoint });
+                    keypoints.push(Keypoint { pixel, scale_px: 1.0 });
+                }
+            }
+            let image = model.add_image(Image::new(format!("{k}.png"), camera, keypoints));
+            model.set_time(image, Some(k as f64));
+            model.register(image, *pose);
+        }
+        for (xyz, seen) in points.into_iter().zip(observations) {
+            if seen.len() > 1 {
+                model.add_track(Track::new(xyz, seen));
+            }
+        }
+        model
+    }
+
+    fn warnings(initial: &Reconstruction, model: &Reconstruction) -> Vec<Warning> {
+        let report = ModelReport { registered: model.num_registered(), ..ModelReport::default() };
+        warnings_of_models(initial, [(model, &report)])
+    }
+
+    #[test]
+    fn a_model_that_is_right_has_none() {
+        let model = drive(radial(FOCAL_PX, 0.0));
+        assert_eq!(warnings(&model, &model), []);
+    }
+
+    #[test]
+    fn a_focal_length_is_compared_with_the_expected_one_or_with_those_of_lenses() {
+        let model = drive(radial(FOCAL_PX, 0.0));
+        let before = |focal_px: f64, has_focal_prior| {
+            let mut before = model.clone();
+            let camera = before.camera_mut(CameraId(0));
+            (camera.intrinsics, camera.has_focal_prior) = (radial(focal_px, 0.0), has_focal_prior);
+            before
+        };
+        for (share, is_near) in
+            [(1.05 * MAX_FOCAL_RATIO, false), (0.95 * MAX_FOCAL_RATIO, true), (0.7, false)]
+        {
+            let found = warnings(&before(FOCAL_PX * share, true), &model);
+            assert_eq!(found.is_empty(), is_near, "{share}: {found:?}");
+            assert!(
+                found.iter().all(|found| matches!(
+                    found,
+                    Warning::FocalLength { expected_px: Some(_), .. }
+                ))
+            );
+            // What was a guess is not compared.
+            assert_eq!(warnings(&before(FOCAL_PX * share, false), &model), []);
+        }
+        let [shortest, longest] = FOCAL_RANGE.map(|relative| relative * f64::from(SIDE_PX));
+        for (focal_px, is_of_a_lens) in
+            [(0.95 * shortest, false), (1.05 * shortest, true), (0.95 * longest, true)]
+        {
+            let model = drive(radial(focal_px, 0.0));
+            let found = warnings(&model, &model);
+            assert_eq!(
+                found.iter().any(|found| matches!(found, Warning::FocalLength { .. })),
+                !is_of_a_lens,
+                "{focal_px}: {found:?}"
+            );
+        }
+    }
+
+    /// At k = 20 the corner at 0.8 of the focal length is 0.29 from the centre without distortion,
+    /// which a stretch of more than two made of it; at k = 0.3 it is 0.7.
+    #[test]
+    fn a_distortion_that_no_lens_has_is_named() {
+        for (k, is_lens) in [(0.3, true), (20.0, false)] {
+            let model = drive(radial(FOCAL_PX, k));
+            let found = warnings(&model, &model);
+            let is_distortion = |found: &Warning| matches!(found, Warning::Distortion { .. });
+            assert_eq!(found.iter().any(is_distortion), !is_lens, "{k}: {found:?}");
+        }
+    }
+
+    #[test]
+    fn residuals_that_depend_on_the_distance_from_the_centre_are_named() {
+        // The keypoints have a distortion that the lens model lacks: k r² r of up to 0.8 of the
+        // focal length, against the limit of half a diagonal (400 px).
+        for (k, is_silent) in [(2e-5, true), (4e-3, false)] {
+            let mut model = drive(radial(FOCAL_PX, k));
+            model.camera_mut(CameraId(0)).intrinsics = radial(FOCAL_PX, 0.0);
+            let found = warnings(&model, &model);
+            let is_of_lens = |found: &Warning| matches!(found, Warning::LensResiduals { .. });
+            assert_eq!(found.iter().any(is_of_lens), !is_silent, "{k}: {found:?}");
+        }
+    }
+
+    /// In a long drive one image that is off leaves the usual step as it is.
+    #[test]
+    fn an_image_a_step_off_jumps() {
+        for (steps, is_silent) in [(0.9, true), (1.1, false)] {
+            let mut model = drive(radial(FOCAL_PX, 0.0));
+            for k in NUM_IMAGES..5 * NUM_IMAGES {
+                let name = format!("{k}.png");
+                let image = model.add_image(Image::new(name, CameraId(0), Vec::new()));
+                model.set_time(image, Some(k as f64));
+                let aside = if k == 2 * NUM_IMAGES { steps } else { 0.0 };
+                let centre = Vector3::new(k as f64, aside, 0.0);
+                model.register(image, Rigid3::new(UnitQuaternion::identity(), -centre));
+            }
+            let found = warnings(&model, &model);
+            let jumps = found.iter().find_map(|found| match found {
+                Warning::Jumps { images, .. } => Some(images.clone()),
+                _ => None,
+            });
+            assert_eq!(jumps, (!is_silent).then(|| vec!["16.png".to_owned()]), "{steps}");
+        }
+    }
+
+    #[test]
+    fn images_with_few_observations_are_named_with_their_number() {
+        let mut model = drive(radial(FOCAL_PX, 0.0));
+        let image = ImageId(2);
+        let observed: Vec<u32> =
+            (0u32..).zip(model.image(image).points()).filter_map(|(k, p)| p.map(|_| k)).collect();
+        let (dropped, kept) = observed.split_at(observed.len() - MIN_OBSERVATIONS);
+        dropped
+            .iter()
+            .for_each(|&keypoint| model.remove_observation(Observation { image, keypoint }));
+        assert_eq!(warnings(&model, &model), []);
+        model.remove_observation(Observation { image, keypoint: kept[0] });
+        let images = vec![("2.png".to_owned(), MIN_OBSERVATIONS - 1)];
+        assert_eq!(
+            warnings(&model, &model),
+            [Warning::FewObservations { model: String::new(), images }]
+        );
+    }
+
+    #[test]
+    fn points_behind_cameras_are_counted() {
+        let mut model = drive(radial(FOCAL_PX, 0.0));
+        let (id, observations) =
+            model.tracks().map(|(id, track)| (id, track.observations.len())).next().unwrap();
+        model.track_mut(id).unwrap().xyz.z *= -1.0;
+        let share = observations as f64 / model.num_observations() as f64;
+        assert!(share > MIN_SHARE_BEHIND, "{share}");
+        let found = warnings(&model, &model);
+        assert_eq!(found, [Warning::PointsBehind { model: String::new(), observations }]);
+    }
+
+    #[test]
+    fn relative_poses_that_scatter_by_a_tenth_are_named() {
+        let model = drive(radial(FOCAL_PX, 0.0));
+        for (relative, is_silent) in [(0.99 * MIN_RIG_SCATTER, true), (MIN_RIG_SCATTER, false)] {
+            let names = ["left", "right"].map(str::to_owned);
+            let camera = RigCameraReport {
+                names: names.clone(),
+                relative_translation_rms: relative,
+                ..RigCameraReport::default()
+            };
+            let rig = RigReport { cameras: vec![camera], ..RigReport::default() };
+            let report = ModelReport { rig: Some(rig), registered: 8, ..ModelReport::default() };
+            let found = warnings_of_models(&model, [(&model, &report)]);
+            let expected = Warning::RigScatter { model: String::new(), cameras: names, relative };
+            assert_eq!(found, if is_silent { vec![] } else { vec![expected] });
+        }
+    }
+
+    #[test]
+    fn two_scenes_are_several_models_of_three_images_or_more() {
+        let model = Reconstruction::default();
+        let of = |sizes: [usize; 2]| {
+            let reports =
+                sizes.map(|registered| ModelReport { registered, ..ModelReport::default() });
+            warnings_of_models(&model, reports.iter().map(|report| (&model, report)))
+        };
+        let images = vec![9, MIN_IMAGES_OF_SCENE];
+        assert_eq!(of([9, MIN_IMAGES_OF_SCENE]), [Warning::SeveralModels { images }]);
+        assert_eq!(of([9, MIN_IMAGES_OF_SCENE - 1]), []);
+    }
 
     /// Scales of images that agree to a thousandth, but for the last one.
     fn scales(last: f64, count: usize) -> Vec<sfm::diagnostics::ImageScale> {
