@@ -78,7 +78,7 @@ impl LocatedModel {
         }
         let text = std::fs::read(&file).map_err(|error| error.to_string())?;
         let sidecar = Sidecar::from_json(&file, &text).map_err(|error| error.to_string())?;
-        if !sidecar.is_of(&self.folder) {
+        if !sidecar.is_of(&self.folder, self.format()) {
             return Err("another program has changed the model since".to_owned());
         }
         (self.shutters, self.rig) = sidecar.add_to(&mut self.reconstruction)?;

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 use tiepoint_input::fingerprint::hash_files;
-use tiepoint_io::colmap::MODEL_FILES;
+use tiepoint_io::colmap::{Format, MODEL_FILES};
 use tiepoint_sfm::geometry::Intrinsics;
 use tiepoint_sfm::rolling_shutter::RollingShutter;
 use tiepoint_sfm::scene::{CameraId, PointId, Reconstruction};
@@ -135,17 +135,15 @@ impl Sidecar {
         format::to_json(self)
     }
 
-    /// Whether the model in a folder is the one that this belongs to.
-    pub(crate) fn is_of(&self, folder: &Path) -> bool {
-        let is_same = |(name, hash): (&String, &String)| {
-            hash_files(&[folder.join(name)]).ok().as_ref() == Some(hash)
+    /// Whether the model that is read from a folder is the one that this belongs to. Both formats
+    /// may be there.
+    pub(crate) fn is_of(&self, folder: &Path, format: Format) -> bool {
+        let names = MODEL_FILES.map(|name| format!("{name}.{}", format.suffix()));
+        let is_same = |name: &String| {
+            let found = hash_files(&[folder.join(name)]).ok();
+            found.is_some() && found.as_ref() == self.files.get(name)
         };
-        // A name might lead out of the folder.
-        let is_ours = |name: &String| {
-            Path::new(name).file_stem().is_some_and(|stem| MODEL_FILES.iter().any(|m| stem == *m))
-                && !name.contains(['/', '\\'])
-        };
-        !self.files.is_empty() && self.files.keys().all(is_ours) && self.files.iter().all(is_same)
+        self.files.len() == names.len() && names.iter().all(is_same)
     }
 
     /// Completes the model that was read from the files.
@@ -205,7 +203,6 @@ impl Sidecar {
 
 #[cfg(test)]
 mod tests {
-    use tiepoint_io::colmap::Format;
     use tiepoint_sfm::geometry::nalgebra::{Vector2, Vector3};
     use tiepoint_sfm::geometry::{CameraModelKind, Rigid3};
     use tiepoint_sfm::scene::{Camera, Image, Keypoint, Observation, Track};
@@ -313,6 +310,15 @@ mod tests {
         );
         assert!(found.rig.is_none() && found.reconstruction.calibrated.is_empty());
         assert!(found.reconstruction.images().all(|(_, image)| image.time_s.is_none()));
+        // A model in the format that is read first hides the one that the file belongs to.
+        let dir = tempfile::tempdir().unwrap();
+        written(dir.path(), &model(), Format::Text, &[]);
+        let binary = tempfile::tempdir().unwrap();
+        written(binary.path(), &model(), Format::Binary, &[]);
+        for name in MODEL_FILES.map(|name| format!("{name}.bin")) {
+            std::fs::copy(binary.path().join(&name), dir.path().join(&name)).unwrap();
+        }
+        assert!(LocatedModel::open(dir.path()).unwrap().note().is_some());
         // Nothing is said of it beside what is written.
         let copy = tempfile::tempdir().unwrap();
         found.write(copy.path(), &[]).unwrap();
