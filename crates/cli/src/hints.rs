@@ -70,8 +70,9 @@ pub(crate) fn for_reader(message: &str, reader: Reader) -> Cow<'_, str> {
     }
 }
 
-/// Replaces keys in backquotes.
-fn with_names(message: &str, reader: Reader) -> Cow<'_, str> {
+/// [`for_reader`] for data, in which only keys in backquotes are replaced: a name of a file may look
+/// like a flag.
+pub(crate) fn with_names(message: &str, reader: Reader) -> Cow<'_, str> {
     if !message.contains('`') {
         return Cow::Borrowed(message);
     }
@@ -81,7 +82,7 @@ fn with_names(message: &str, reader: Reader) -> Cow<'_, str> {
         text += before;
         match after.split_once('`').and_then(|(key, end)| Some((name_of(key, reader)?, end))) {
             Some((name, end)) => {
-                text += name;
+                text += &name;
                 rest = end;
             }
             None => {
@@ -93,14 +94,17 @@ fn with_names(message: &str, reader: Reader) -> Cow<'_, str> {
     Cow::Owned(text + rest)
 }
 
-fn name_of(key: &str, reader: Reader) -> Option<&'static str> {
-    let option = OPTIONS.iter().find(|(own, _)| *own == key).map(|(_, flag)| *flag);
+fn name_of(key: &str, reader: Reader) -> Option<Cow<'static, str>> {
+    let option = OPTIONS.iter().find(|(own, _)| *own == key).map(|(_, flag)| match reader {
+        Reader::CommandLine => Cow::Borrowed(*flag),
+        Reader::Keywords => Cow::Owned(flags_as_keywords(flag)),
+    });
     option.or_else(|| {
         let (_, command, function) = COMMANDS.iter().find(|(own, ..)| *own == key)?;
-        Some(match reader {
+        Some(Cow::Borrowed(match reader {
             Reader::CommandLine => command,
             Reader::Keywords => function,
-        })
+        }))
     })
 }
 
@@ -151,6 +155,14 @@ mod tests {
             for_reader("a--b --- -- `--max-size=7`, x--", Reader::Keywords),
             "a--b --- -- `max_size=7`, x--"
         );
+    }
+
+    #[test]
+    fn names_of_files_in_data_stay_as_they_are() {
+        let data = r#"{"image": "a/--max-size.jpg", "note": "give `match.pairs`"}"#;
+        let expected = r#"{"image": "a/--max-size.jpg", "note": "give --pairs"}"#;
+        assert_eq!(with_names(data, Reader::CommandLine), expected);
+        assert_eq!(with_names(data, Reader::Keywords), expected.replace("--pairs", "pairs"));
     }
 
     #[test]

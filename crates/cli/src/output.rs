@@ -8,7 +8,7 @@ use std::sync::mpsc::Sender;
 use serde::Serialize;
 
 use crate::failure::Failure;
-use crate::hints::{Reader, for_reader};
+use crate::hints::{Reader, for_reader, with_names};
 use crate::interrupt::Interrupt;
 use crate::message::Message;
 
@@ -44,9 +44,9 @@ impl Output {
     pub(crate) fn progress(&self, event: &impl Serialize) -> bool {
         match &self.destination {
             Destination::Text => return false,
-            Destination::Json => line_to_stderr(&self.for_reader(&json_line(event))),
+            Destination::Json => line_to_stderr(&self.with_names(&json_line(event))),
             Destination::Caller(caller) => {
-                let line = self.for_reader(&json_line(event)).into_owned();
+                let line = self.with_names(&json_line(event)).into_owned();
                 let _ = caller.send(Message::Progress(line));
             }
         }
@@ -65,7 +65,7 @@ impl Output {
     ) -> Result<(), Failure> {
         let printable = || text().split_inclusive('\n').map(printable_line).collect::<String>();
         let shown = || self.for_reader(&printable()).into_owned();
-        self.write(value, shown, |json| self.for_reader(&json).into_owned())
+        self.write(value, shown, |json| self.with_names(&json).into_owned())
     }
 
     /// Writes a text that the program itself generated to stdout: `value` as one JSON object, or
@@ -98,13 +98,21 @@ impl Output {
         }
     }
 
-    /// A text with the names of options and stages that its reader knows.
-    pub(crate) fn for_reader<'a>(&self, text: &'a str) -> Cow<'a, str> {
-        let reader = match &self.destination {
+    /// A message with the names of options and stages that its reader knows.
+    pub(crate) fn for_reader<'a>(&self, message: &'a str) -> Cow<'a, str> {
+        for_reader(message, self.reader())
+    }
+
+    /// The same for data, in which names of files stand.
+    fn with_names<'a>(&self, json: &'a str) -> Cow<'a, str> {
+        with_names(json, self.reader())
+    }
+
+    fn reader(&self) -> Reader {
+        match &self.destination {
             Destination::Text | Destination::Json => Reader::CommandLine,
             Destination::Caller(_) => Reader::Keywords,
-        };
-        for_reader(text, reader)
+        }
     }
 
     /// Writes a warning to stderr, on one line.
