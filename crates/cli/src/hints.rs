@@ -70,8 +70,8 @@ pub(crate) fn for_reader(message: &str, reader: Reader) -> Cow<'_, str> {
     }
 }
 
-/// [`for_reader`] for data, in which only keys in backquotes are replaced: a name of a file may look
-/// like a flag.
+/// [`for_reader`] for data, in which only keys in backquotes are replaced: a name of a file may
+/// look like a flag.
 pub(crate) fn with_names(message: &str, reader: Reader) -> Cow<'_, str> {
     if !message.contains('`') {
         return Cow::Borrowed(message);
