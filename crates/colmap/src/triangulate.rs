@@ -7,6 +7,7 @@ use std::path::Path;
 use tiepoint_pipeline::input::ImageFolder;
 use tiepoint_pipeline::io::colmap::Format;
 use tiepoint_pipeline::io::database::Database;
+use tiepoint_pipeline::sfm;
 use tiepoint_pipeline::sfm::adjust::{AdjustOptions, RefineIntrinsics, Scope};
 use tiepoint_pipeline::sfm::geometry::Rng;
 use tiepoint_pipeline::sfm::register::{RegisterOptions, register_image};
@@ -15,7 +16,6 @@ use tiepoint_pipeline::sfm::tracks::{
     FilterOptions, TrackOptions, complete_tracks, filter_all_points, merge_tracks, retriangulate,
     triangulate_image,
 };
-use tiepoint_pipeline::sfm::{self as sfm};
 use tiepoint_pipeline::stages::color_points;
 use tiepoint_pipeline::{Error, Event, Stage, Watch, emit};
 

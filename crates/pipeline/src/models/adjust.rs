@@ -5,6 +5,7 @@ use std::time::Instant;
 
 use serde::Serialize;
 use tiepoint_io::bal::{Bal, BalCamera, BalObservation};
+use tiepoint_sfm as sfm;
 use tiepoint_sfm::adjust::{AdjustOptions, RefineIntrinsics, Scope};
 use tiepoint_sfm::ba::factors::Reprojection;
 use tiepoint_sfm::ba::{
@@ -13,7 +14,6 @@ use tiepoint_sfm::ba::{
 use tiepoint_sfm::geometry::cameras::Radial;
 use tiepoint_sfm::geometry::nalgebra::{Quaternion, SVector, UnitQuaternion, Vector2, Vector3};
 use tiepoint_sfm::geometry::{Loss, Rigid3, so3};
-use tiepoint_sfm::{self as sfm};
 use tiepoint_store::write_file;
 
 use crate::workspace::located_model::LocatedModel;

@@ -144,8 +144,7 @@ pub enum CameraSource {
 
 /// Estimates the poses of photos in a model, and writes the model with them to `output`: its own
 /// images, points and intrinsics stay as they are. It must be in a folder with the `database.db` of
-/// its features. Photos are compared with the images that the
-/// database has features of.
+/// its features. Photos are compared with the images that the database has features of.
 ///
 /// The intrinsics of a photo are those of a calibration, else those of a camera of the model whose
 /// photos have the same size and the same body, lens and focal length in EXIF, as far as they can

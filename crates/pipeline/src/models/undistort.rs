@@ -82,9 +82,9 @@ pub struct Undistorted {
     pub observations_lost: usize,
 }
 
-/// Writes the undistorted images of a model with their names, their
-/// masks, and the model with PINHOLE cameras and undistorted keypoints. Images without a pose are
-/// left out. Masks are written if there are any; they are 0 also where a pixel has no source.
+/// Writes the undistorted images of a model with their names, their masks, and the model with
+/// PINHOLE cameras and undistorted keypoints. Images without a pose are left out. Masks are written
+/// if there are any; they are 0 also where a pixel has no source.
 ///
 /// Files of an earlier run in the same folder are replaced, and removed if they have no successor.
 ///

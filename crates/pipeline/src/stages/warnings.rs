@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use tiepoint_sfm as sfm;
+use tiepoint_sfm::diagnostics::{self, ImageScale};
 use tiepoint_sfm::geometry::numeric::median;
 use tiepoint_sfm::scene::{CameraId, ImageId, Reconstruction};
 
@@ -112,7 +112,7 @@ impl Place<'_> {
 
     fn lenses(&self) -> Vec<Warning> {
         let mut warnings = Vec::new();
-        for lens in sfm::diagnostics::lens_residuals(self.model) {
+        for lens in diagnostics::lens_residuals(self.model) {
             let camera = self.model.camera(lens.camera);
             let kind = camera.intrinsics.kind();
             let (model, id) = (self.path(), lens.camera.0 + 1);
@@ -145,13 +145,13 @@ impl Place<'_> {
     }
 
     fn scaled_images(&self) -> Vec<Warning> {
-        let mut by_camera: BTreeMap<CameraId, Vec<sfm::diagnostics::ImageScale>> = BTreeMap::new();
-        for found in sfm::diagnostics::image_scales(self.model) {
+        let mut by_camera: BTreeMap<CameraId, Vec<ImageScale>> = BTreeMap::new();
+        for found in diagnostics::image_scales(self.model) {
             by_camera.entry(found.camera).or_default().push(found);
         }
-        let warning = |(camera, found): (CameraId, Vec<sfm::diagnostics::ImageScale>)| {
-            let image = |scale: &sfm::diagnostics::ImageScale| {
-                let &sfm::diagnostics::ImageScale { image, scale, sd, .. } = scale;
+        let warning = |(camera, found): (CameraId, Vec<ImageScale>)| {
+            let image = |scale: &ImageScale| {
+                let &ImageScale { image, scale, sd, .. } = scale;
                 ScaledImage { name: self.name(image), scale, sd }
             };
             let images: Vec<ScaledImage> = deviating(&found).into_iter().map(image).collect();
@@ -175,17 +175,17 @@ impl Place<'_> {
 
     fn images(&self) -> Vec<Warning> {
         let mut warnings = Vec::new();
-        let jumps = sfm::diagnostics::jumps(self.model);
+        let jumps = diagnostics::jumps(self.model);
         if !jumps.is_empty() {
             let images = jumps.iter().map(|jump| self.name(jump.image)).collect();
             warnings.push(Warning::Jumps { model: self.path(), images });
         }
-        let few = sfm::diagnostics::images_with_few_observations(self.model, MIN_OBSERVATIONS);
+        let few = diagnostics::images_with_few_observations(self.model, MIN_OBSERVATIONS);
         if !few.is_empty() {
             let images = few.into_iter().map(|(image, count)| (self.name(image), count)).collect();
             warnings.push(Warning::FewObservations { model: self.path(), images });
         }
-        let observations = sfm::diagnostics::num_points_behind(self.model);
+        let observations = diagnostics::num_points_behind(self.model);
         if observations as f64 > MIN_SHARE_BEHIND * self.model.num_observations() as f64 {
             warnings.push(Warning::PointsBehind { model: self.path(), observations });
         }
@@ -195,7 +195,7 @@ impl Place<'_> {
 
 /// The images whose scale contradicts that of the others of their camera, the largest deviation
 /// first. What all images deviate by (the lens model, correlated points) is in their scatter.
-fn deviating(found: &[sfm::diagnostics::ImageScale]) -> Vec<&sfm::diagnostics::ImageScale> {
+fn deviating(found: &[ImageScale]) -> Vec<&ImageScale> {
     if found.len() < MIN_IMAGES_OF_CAMERA {
         return Vec::new();
     }
@@ -203,11 +203,11 @@ fn deviating(found: &[sfm::diagnostics::ImageScale]) -> Vec<&sfm::diagnostics::I
     let centre = median(&mut logs().collect::<Vec<_>>()).unwrap_or(0.0);
     let mut deviations: Vec<f64> = logs().map(|log| (log - centre).abs()).collect();
     let scatter = SD_OF_MAD * median(&mut deviations).unwrap_or(0.0);
-    let deviation = |image: &&sfm::diagnostics::ImageScale| (image.scale.ln() - centre).abs();
-    let is_other = |image: &&sfm::diagnostics::ImageScale| {
+    let deviation = |image: &&ImageScale| (image.scale.ln() - centre).abs();
+    let is_other = |image: &&ImageScale| {
         deviation(image) > MIN_SCALE_SIGMAS * scatter.hypot(image.sd / image.scale)
     };
-    let mut others: Vec<&sfm::diagnostics::ImageScale> = found.iter().filter(is_other).collect();
+    let mut others: Vec<&ImageScale> = found.iter().filter(is_other).collect();
     others.sort_by(|a, b| deviation(b).total_cmp(&deviation(a)));
     others
 }
@@ -325,8 +325,9 @@ mod tests {
         }
     }
 
-    /// At k = 20 the corner at 0.8 of the focal length is 0.29 from the centre without distortion,
-    /// which a stretch of more than two made of it; at k = 0.3 it is 0.7.
+    /// The corner is at r = 0.8 of the focal length. Without distortion it is at u, where
+    /// r = u (1 + k u²): at u = 0.29 for k = 20, a stretch of more than two, and at u = 0.7 for
+    /// k = 0.3.
     #[test]
     fn a_distortion_that_no_lens_has_is_named() {
         for (k, is_lens) in [(0.3, true), (20.0, false)] {
@@ -339,8 +340,9 @@ mod tests {
 
     #[test]
     fn residuals_that_depend_on_the_distance_from_the_centre_are_named() {
-        // The keypoints have a distortion that the lens model lacks: k r² r of up to 0.8 of the
-        // focal length, against the limit of half a diagonal (400 px).
+        // The keypoints have a radial distortion k that the lens model lacks. At the corner, 0.8 of
+        // the focal length from the centre, it is 500 px · 0.8³ k: 0.005 px and 1 px. The limit is
+        // 0.06 px, as a root mean square over the image (400 px from centre to corner).
         for (k, is_silent) in [(2e-5, true), (4e-3, false)] {
             let mut model = drive(radial(FOCAL_PX, k));
             model.camera_mut(CameraId(0)).intrinsics = radial(FOCAL_PX, 0.0);
@@ -435,11 +437,11 @@ mod tests {
     }
 
     /// Scales of images that agree to a thousandth, but for the last one.
-    fn scales(last: f64, count: usize) -> Vec<sfm::diagnostics::ImageScale> {
+    fn scales(last: f64, count: usize) -> Vec<ImageScale> {
         let log = |k: usize| if k + 1 == count { last } else { 1e-3 * (k as f64 % 3.0 - 1.0) };
         let scale = |k: usize| {
             let (image, camera) = (ImageId::from_index(k), CameraId(0));
-            sfm::diagnostics::ImageScale { image, camera, scale: log(k).exp(), sd: 1e-3 }
+            ImageScale { image, camera, scale: log(k).exp(), sd: 1e-3 }
         };
         (0..count).map(scale).collect()
     }
