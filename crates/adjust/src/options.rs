@@ -18,7 +18,7 @@ pub struct RefineIntrinsics {
     /// scaling all heights. A keypoint error of a twentieth of a pixel would change the ratio by a
     /// thousandth. Anamorphic video needs it.
     pub aspect: bool,
-    /// The principal point, with a prior at the expected one or else at the image centre.
+    /// The principal point.
     pub principal_point: bool,
     /// Distortion coefficients.
     pub distortion: bool,
@@ -60,6 +60,9 @@ pub struct FocalPrior {
 pub struct AdjustOptions<'a> {
     /// Intrinsics to refine.
     pub refine: RefineIntrinsics,
+    /// Intrinsics to refine of cameras that have a prior from a calibration
+    /// ([`Reconstruction::intrinsics_priors`]); `None`: those of [`AdjustOptions::refine`].
+    pub refine_calibrated: Option<RefineIntrinsics>,
     /// Whether to adjust a grid-based selection of the tracks only: the longest ones, distributed
     /// over every image.
     pub select_tracks: bool,
@@ -115,6 +118,7 @@ impl Default for AdjustOptions<'_> {
     fn default() -> Self {
         Self {
             refine: RefineIntrinsics::FOCAL_AND_DISTORTION,
+            refine_calibrated: None,
             select_tracks: false,
             loss: Loss::SoftL1(4.0),
             principal_point_sigma: 0.01,

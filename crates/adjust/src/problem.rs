@@ -11,7 +11,7 @@ use tiepoint_ba::factors::{Reprojection, RigReprojection, ShiftedReprojection};
 use tiepoint_ba::{EliminationOrder, Key, Problem, SpanningTree};
 use tiepoint_geometry::nalgebra::{Vector1, Vector3};
 use tiepoint_geometry::{CameraModel, Loss, Rigid3, with_camera_model};
-use tiepoint_scene::{CameraId, ImageId, Keypoint, Reconstruction};
+use tiepoint_scene::{CameraId, ImageId, IntrinsicsPrior, Keypoint, Reconstruction};
 
 use crate::Error;
 use crate::gauge::{Gauge, fix_gauge};
@@ -197,13 +197,17 @@ fn add_camera(
     // The images of a local adjustment determine the intrinsics too weakly if the camera has other
     // images.
     let mut all = model.registered().filter(|(_, image, _)| image.camera == camera);
-    let is_known = model.calibrated.contains(&camera);
-    let refine = if !is_known && all.all(|(id, ..)| context.scope.is_variable(id)) {
-        options.refine
-    } else {
-        RefineIntrinsics::NONE
-    };
     let camera_of_images = model.camera(camera);
+    let is_of_kind =
+        |prior: &&IntrinsicsPrior| prior.mean.kind() == camera_of_images.intrinsics.kind();
+    let calibration = model.intrinsics_priors.get(&camera).filter(is_of_kind);
+    let is_constant =
+        model.calibrated.contains(&camera) || !all.all(|(id, ..)| context.scope.is_variable(id));
+    let refine = match calibration {
+        _ if is_constant => RefineIntrinsics::NONE,
+        Some(_) => options.refine_calibrated.unwrap_or(options.refine),
+        None => options.refine,
+    };
     let key: CameraKey = with_camera_model!(&camera_of_images.intrinsics, M, params => {
         let kind = camera_of_images.intrinsics.kind();
         let columns = fixed_columns(kind, refine);
@@ -213,9 +217,8 @@ fn add_camera(
             problem.fix(key);
         } else {
             problem.fix_dofs(key, &columns)?;
-            let expected = model.expected_intrinsics.get(&camera);
             let prior =
-                intrinsics_prior(params, camera, camera_of_images, expected, refine, options)?;
+                intrinsics_prior(params, camera, camera_of_images, calibration, refine, options)?;
             problem.add(key, prior, Loss::Trivial)?;
         }
         for (image, pose) in &images {

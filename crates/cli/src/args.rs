@@ -19,6 +19,7 @@ use tiepoint_pipeline::sfm::RigMode;
 use tiepoint_pipeline::sfm::geometry::{CameraModelKind, Intrinsics};
 use tiepoint_pipeline::sfm::matching::PairSelection;
 use tiepoint_pipeline::sfm::rolling_shutter::Readout;
+use tiepoint_pipeline::stages::MapOptions;
 use tiepoint_synth::{Effects, RouteKind, ViewDirection};
 
 pub(crate) use values::{CropBox, ImageSize, Metres, Quantiles, Refine, threads};
@@ -322,10 +323,11 @@ pub(crate) struct Cameras {
         hide_possible_values = true
     )]
     pub(crate) cameras: CameraGrouping,
-    /// Known intrinsics of all cameras, in pixels; they stay fixed. The centre of the first pixel
-    /// is (0.5, 0.5) as in COLMAP; for intrinsics of OpenCV or KITTI, which have it at (0, 0), add
-    /// 0.5 to cx and cy. They are those of the stored photo and are turned as EXIF says. Four
-    /// numbers are a PINHOLE camera, more are an OPENCV one (k1,k2,p1,p2).
+    /// Known intrinsics of all cameras, in pixels; mapping refines them within their standard
+    /// deviations (--calibration-sigma). The centre of the first pixel is (0.5, 0.5) as in COLMAP;
+    /// for intrinsics of OpenCV or KITTI, which have it at (0, 0), add 0.5 to cx and cy. They are
+    /// those of the stored photo and are turned as EXIF says. Four numbers are a PINHOLE camera,
+    /// more are an OPENCV one (k1,k2,p1,p2).
     #[arg(
         long,
         value_name = "fx,fy,cx,cy[,k..]",
@@ -333,8 +335,8 @@ pub(crate) struct Cameras {
         conflicts_with = "focal_prior"
     )]
     pub(crate) intrinsics: Option<NumberList>,
-    /// Known intrinsics of single cameras; they stay fixed. FILE is COLMAP's cameras.txt, OpenCV's
-    /// or ROS's YAML, Kalibr's camchain, KITTI's calib.txt or calib_cam_to_cam.txt, each with its
+    /// Known intrinsics of single cameras, as with --intrinsics. FILE is COLMAP's cameras.txt,
+    /// OpenCV's or ROS's YAML, Kalibr's camchain, KITTI's calib.txt or calib_cam_to_cam.txt, each with its
     /// own pixel centre. With a PATTERN it is for the folders or photos that match (`*` any
     /// characters, `?` one), so that `*=FILE` is for all; #CAMERA is the name of the camera in the
     /// file, as `left=calib.txt#P2`. Without a pattern the cameras of the file are those of the
@@ -402,10 +404,19 @@ pub(crate) struct Mapping {
     /// Intrinsics to refine, as a list of focal, principal-point and distortion, or none. Also
     /// aspect (fx and fy are refined separately; else pixels stay square, which anamorphic video
     /// does not have) and prism (the thin prism of the model, which stays fixed else). By default
-    /// focal,principal-point,distortion, and known intrinsics stay fixed; given, the option holds
-    /// for these, too. With extrinsics in the list, those of --rig-calibration are refined.
+    /// focal,principal-point,distortion. Known intrinsics have a prior at their values, and with
+    /// distortion in the list a PINHOLE camera becomes an OPENCV one. With extrinsics in the list,
+    /// those of --rig-calibration are refined.
     #[arg(long, value_name = "LIST", value_parser = refine)]
     pub(crate) refine: Option<Refine>,
+    /// Standard deviation of known intrinsics, in pixels: how far the error of each parameter moves
+    /// the border of the image. With --refine none they are exact.
+    #[arg(
+        long,
+        value_name = "PX",
+        default_value_t = PositivePixels(MapOptions::default().calibration_sigma_px)
+    )]
+    pub(crate) calibration_sigma: PositivePixels,
     /// Known distance between the first two cameras (in the order of their folders) with its unit,
     /// m, cm or mm. The model is scaled to it; by default the scale is arbitrary.
     #[arg(long, value_name = "0.62m", conflicts_with = "input_model")]
@@ -441,8 +452,8 @@ pub(crate) struct Adjust {
     /// Where to write the result in the format of the input; without it only the costs are printed.
     #[arg(short, long = "output", value_name = "OUT")]
     pub(crate) output: Option<PathBuf>,
-    /// Keeps all intrinsics fixed. Intrinsics that a workspace was given with --intrinsics or
-    /// --calibration are fixed without it, also those that --refine refined.
+    /// Keeps all intrinsics fixed. Without it those of a calibration have a prior at their values,
+    /// and those that mapping kept with --refine none stay fixed.
     #[arg(long)]
     pub(crate) fix_intrinsics: bool,
 }

@@ -8,6 +8,7 @@ use tiepoint_pipeline::evaluation::{
     CloudEvaluation, ErrorStatistics, PoseEvaluation, RegisteredCloud,
 };
 use tiepoint_pipeline::models::RigidReport;
+use tiepoint_pipeline::sfm::geometry::CameraModelKind;
 use tiepoint_pipeline::workspace::{
     ConstraintKind, DenseReport, ModelReport, RigCamera, RigClockState, SplitReport,
 };
@@ -91,6 +92,9 @@ fn stages(report: &Report) -> String {
         for note in &map.notes {
             line(format_args!("          {note}"));
         }
+        for calibration in calibrations(report) {
+            line(format_args!("{calibration}"));
+        }
         let shutters = report.models.first().into_iter().flat_map(|model| &model.cameras);
         for (camera, readout_s) in
             shutters.filter_map(|camera| Some((camera.id, camera.readout_s?)))
@@ -173,6 +177,28 @@ fn stages(report: &Report) -> String {
         ));
     }
     text
+}
+
+/// How far the calibrations of the first model's cameras were refined, a line each.
+fn calibrations(report: &Report) -> Vec<String> {
+    let cameras = report.models.first().into_iter().flat_map(|model| &model.cameras);
+    let calibrated = cameras.filter_map(|camera| Some((camera, camera.calibration.as_ref()?)));
+    let lines = calibrated.filter_map(|(camera, calibration)| {
+        let names = CameraModelKind::from_name(&camera.model).ok()?.param_names();
+        let moved: Vec<String> = names
+            .iter()
+            .zip(&calibration.deviations)
+            .filter(|(_, deviation)| deviation.abs() >= 0.05)
+            .map(|(name, deviation)| format!("{name} {deviation:+.1}"))
+            .collect();
+        let moved = match moved.is_empty() {
+            true => "0".to_owned(),
+            false => moved.join(", "),
+        };
+        let id = camera.id;
+        Some(format!("lens      camera {id}: {moved} standard deviations from its calibration"))
+    });
+    lines.take(MAX_NAMES).collect()
 }
 
 /// A repaired split of the model, as a line.

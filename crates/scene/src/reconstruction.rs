@@ -5,11 +5,12 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use tiepoint_geometry::nalgebra::{Vector2, Vector3};
-use tiepoint_geometry::{Intrinsics, Rigid3, Sim3};
+use tiepoint_geometry::{Rigid3, Sim3};
 
 use crate::rig::is_same_pose;
 use crate::{
-    Camera, CameraId, Frame, Image, ImageId, Observation, OriginalIds, PointId, Rig, Track,
+    Camera, CameraId, Frame, Image, ImageId, IntrinsicsPrior, Observation, OriginalIds, PointId,
+    Rig, Track,
 };
 
 /// A model: cameras, images with poses, points with tracks; rigs and frames for rigidly connected
@@ -27,9 +28,8 @@ pub struct Reconstruction {
     pub frames: Vec<Frame>,
     /// Cameras with known intrinsics, which adjustments keep.
     pub calibrated: BTreeSet<CameraId>,
-    /// Intrinsics around which adjustments have their prior on principal point and distortion. That
-    /// of other cameras is around the image centre and no distortion.
-    pub expected_intrinsics: BTreeMap<CameraId, Intrinsics>,
+    /// Cameras with a calibration, which adjustments refine within its standard deviations.
+    pub intrinsics_priors: BTreeMap<CameraId, IntrinsicsPrior>,
     /// Pairs of cameras of one lens whose images have portrait and landscape format: the fx of the
     /// one is the fy of the other, and their radial distortion is equal. A camera may be in several
     /// pairs.

@@ -2,6 +2,7 @@
 
 use tiepoint_geometry::Rigid3;
 
+pub use crate::known_rigs::KnownFrame;
 use crate::{CameraId, ImageId, RigId};
 
 /// Tolerance between an image's pose and the pose composed of its frame and rig: in radians, and in

@@ -2,7 +2,8 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use tiepoint_scene::{ImageId, KnownFrame, KnownRigs, Reconstruction};
+use tiepoint_scene::rig::KnownFrame;
+use tiepoint_scene::{ImageId, KnownRigs, Reconstruction};
 
 /// The known frames of a scene by their images.
 #[derive(Clone, Debug, Default)]

@@ -4,7 +4,7 @@ use tiepoint_adjust::{AdjustOptions, RefineIntrinsics, Scope, adjust, keep_going
 use tiepoint_ba::testing::check_jacobians;
 use tiepoint_geometry::nalgebra::SVector;
 use tiepoint_geometry::{CameraModelKind, Intrinsics};
-use tiepoint_scene::{CameraId, Reconstruction};
+use tiepoint_scene::{CameraId, IntrinsicsPrior, Reconstruction};
 
 use crate::common::{camera, scene};
 use crate::shared_lens::shared_lens;
@@ -22,10 +22,10 @@ const FIRM: f64 = 1e-6;
 const HELD: f64 = 1e-3;
 
 #[test]
-fn prior_is_around_the_expected_intrinsics() {
+fn the_prior_of_an_uncalibrated_camera_is_around_the_image_centre() {
     let kind = CameraModelKind::Opencv;
     let current = camera(kind, &[500.0, 505.0, 321.0, 239.0, 0.1, 0.02, 0.01, 0.02], [640, 480]);
-    let model = scene(&[current], 6, 0.5);
+    let mut model = scene(&[current], 6, 0.5);
     let options = AdjustOptions {
         refine: EVERYTHING,
         principal_point_sigma: FIRM,
@@ -33,23 +33,44 @@ fn prior_is_around_the_expected_intrinsics() {
         ..AdjustOptions::default()
     };
     // Without priors on focal lengths, these are free.
-    let has = |expected: Option<Intrinsics>, wanted: [f64; 6]| {
-        let mut model = model.clone();
-        model.expected_intrinsics.extend(expected.map(|expected| (CameraId(0), expected)));
-        let model = adjusted(model, &options);
-        let params = model.camera(CameraId(0)).intrinsics;
-        for (found, wanted) in params.params()[2..].iter().zip(wanted) {
-            let error = (found - wanted).abs();
-            assert!(error < HELD * wanted.abs().max(1.0), "{params:?}, not {wanted}");
-        }
-    };
     let at_the_centre = [320.0, 240.0, 0.0, 0.0, 0.0, 0.0];
-    has(None, at_the_centre);
-    let expected = [490.0, 495.0, 300.0, 250.0, -0.1, 0.05, 0.001, 0.002];
-    let of_the_model = Intrinsics::new(kind, &expected).unwrap();
-    has(Some(of_the_model), [300.0, 250.0, -0.1, 0.05, 0.001, 0.002]);
-    let of_another = Intrinsics::centred(CameraModelKind::Pinhole, 500.0, 640, 480);
-    has(Some(of_another), at_the_centre);
+    let found = adjusted(model.clone(), &options).camera(CameraId(0)).intrinsics;
+    assert_held(&found.params()[2..], &at_the_centre);
+    // A calibration of another camera model says nothing.
+    let pinhole = Intrinsics::centred(CameraModelKind::Pinhole, 400.0, 640, 480);
+    let prior = IntrinsicsPrior { mean: pinhole, sigmas: vec![FIRM; 4] };
+    model.intrinsics_priors.insert(CameraId(0), prior);
+    assert_eq!(adjusted(model, &options).camera(CameraId(0)).intrinsics, found);
+}
+
+fn assert_held(found: &[f64], wanted: &[f64]) {
+    for (value, wanted) in found.iter().zip(wanted) {
+        let error = (value - wanted).abs();
+        assert!(error < HELD * wanted.abs().max(1.0), "{found:?}: not {wanted}");
+    }
+}
+
+#[test]
+fn the_prior_of_a_calibrated_camera_is_its_calibration() {
+    let kind = CameraModelKind::Opencv;
+    let truth = camera(kind, &[500.0, 500.0, 321.0, 239.0, 0.1, 0.02, 0.001, 0.002], [640, 480]);
+    let calibrated = [490.0, 490.0, 300.0, 250.0, -0.1, 0.05, 0.001, 0.002];
+    let mean = Intrinsics::new(kind, &calibrated).unwrap();
+    let with = |sigmas: Vec<f64>, refine, refine_calibrated| {
+        let mut model = scene(&[truth], 6, 0.5);
+        model.intrinsics_priors.insert(CameraId(0), IntrinsicsPrior { mean, sigmas });
+        let options = AdjustOptions { refine, refine_calibrated, ..AdjustOptions::default() };
+        adjusted(model, &options).camera(CameraId(0)).intrinsics
+    };
+    // It holds all parameters, focal lengths included, and gives way where it is wide.
+    assert_held(with(vec![FIRM; 8], EVERYTHING, None).params(), &calibrated);
+    let wide = IntrinsicsPrior::new(mean, 640, 480, 100.0).sigmas;
+    let found = with(wide, EVERYTHING, None);
+    assert!((found.params()[0] - 500.0).abs() < 1.0, "{found:?}");
+    assert!((found.params()[4] - 0.1).abs() < 0.01, "{found:?}");
+    // What is refined of calibrated cameras may differ from what is of others.
+    let kept = with(vec![FIRM; 8], EVERYTHING, Some(RefineIntrinsics::NONE));
+    assert_eq!(kept, truth.intrinsics);
 }
 
 /// Parameters of a landscape camera, and those that its portrait camera shares: index of the one,

@@ -10,6 +10,7 @@ const WRONG: [f64; 3] = [-1.0, f64::NAN, f64::INFINITY];
 fn set(name: &str, value: f64) -> AdjustOptions<'static> {
     let AdjustOptions {
         refine,
+        refine_calibrated,
         select_tracks,
         mut loss,
         mut principal_point_sigma,
@@ -31,6 +32,7 @@ fn set(name: &str, value: f64) -> AdjustOptions<'static> {
     }
     AdjustOptions {
         refine,
+        refine_calibrated,
         select_tracks,
         loss,
         principal_point_sigma,

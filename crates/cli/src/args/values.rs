@@ -106,7 +106,7 @@ pub(crate) fn threads(text: &str) -> Result<NonZeroUsize, String> {
 
 /// A positive length in pixels.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct PositivePixels(pub(super) f64);
+pub(crate) struct PositivePixels(pub(crate) f64);
 
 impl FromStr for PositivePixels {
     type Err = String;
@@ -114,6 +114,12 @@ impl FromStr for PositivePixels {
     fn from_str(text: &str) -> Result<Self, String> {
         let value = text.parse().ok().filter(|value: &f64| value.is_finite() && *value > 0.0);
         value.map(Self).ok_or_else(|| "expected a number of pixels greater than 0".to_owned())
+    }
+}
+
+impl fmt::Display for PositivePixels {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        self.0.fmt(f)
     }
 }
 

@@ -148,6 +148,7 @@ fn map_options(mapping: &Mapping, seed: &Seed) -> Result<MapOptions, Failure> {
             ..MapperOptions::default()
         },
         refine: mapping.refine.map(|refine| refine.intrinsics),
+        calibration_sigma_px: mapping.calibration_sigma.0,
         baseline_m: mapping.baseline.map(|Metres(baseline_m)| baseline_m),
         input_model: mapping
             .input_model

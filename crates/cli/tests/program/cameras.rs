@@ -76,8 +76,11 @@ fn groups_of_the_command_line() {
         .failed(1, &["--cameras single and not auto", "--redo features"]);
 }
 
+/// Two standard deviations of the calibrations, which are exact.
+const NEAR_PX: f64 = 2.0;
+
 #[test]
-fn known_calibrations_of_single_cameras_stay_fixed() {
+fn known_calibrations_of_single_cameras_are_priors() {
     let dir = tempfile::tempdir().unwrap();
     photos::write(&dir.path().join("photos/left"), 4, 0);
     photos::write(&dir.path().join("photos/right"), 6, 0);
@@ -111,9 +114,12 @@ fn known_calibrations_of_single_cameras_stay_fixed() {
     assert_eq!(report["models"][0]["registered"], 8);
     let found = params(report);
     let left = vec![330.0, 330.0, 160.0, 120.0];
-    let right = [left.clone(), vec![0.0; 4]].concat();
-    assert_eq!(found[0], ("PINHOLE".to_owned(), left.clone()));
-    assert_eq!(found[2], ("OPENCV".to_owned(), right));
+    // The distortion is refined, too.
+    for index in [0, 2] {
+        let (model, params) = &found[index];
+        assert_eq!(model, "OPENCV");
+        assert!((params[0] - 330.0).abs() < NEAR_PX, "{found:?}");
+    }
     // The camera without a calibration is estimated.
     let rear = &found[1];
     assert_eq!(rear.0, "SIMPLE_RADIAL");
@@ -122,12 +128,18 @@ fn known_calibrations_of_single_cameras_stay_fixed() {
     let again = tiepoint_in(dir.path(), &format!("{line} --json")).done();
     assert!(again.events().iter().any(|event| event["event"] == "stage_kept"));
     tiepoint_in(dir.path(), "map {}/ws --rig off --refine focal")
-        .failed(1, &["known intrinsics fixed and not refined (--refine)", "--redo map"]);
-    let refined =
-        tiepoint_in(dir.path(), "map {}/ws --rig off --refine focal --redo map --json").done();
-    let refined = params(refined.json());
+        .failed(1, &["distortion refined and not fixed (--refine)", "--redo map"]);
+    tiepoint_in(dir.path(), "map {}/ws --rig off --calibration-sigma 2")
+        .failed(1, &["--calibration-sigma 1px and not 2px", "--redo map"]);
+    let map = |options: &str| {
+        let line = format!("map {{}}/ws --rig off {options} --redo map --json");
+        params(tiepoint_in(dir.path(), &line).done().json())
+    };
+    let refined = map("--refine focal");
     assert_ne!(refined[0].1[0], 330.0, "--refine holds for known intrinsics");
     assert_eq!(refined[0].1[2..], left[2..]);
+    let exact = map("--refine focal --calibration-sigma 1e-6");
+    assert!((exact[0].1[0] - 330.0).abs() < 1e-3, "{exact:?}");
     fs::write(dir.path().join("c.txt"), "1 PINHOLE 320 240 331 331 160 120\n").unwrap();
     tiepoint_in(dir.path(), line).failed(1, &["another --calibration", "--redo features"]);
 }

@@ -276,16 +276,36 @@ fn the_same_bytes_stage_by_stage_and_on_any_number_of_threads() {
     tiepoint_in(dir, "match {}/three --threads 3").done();
     tiepoint_in(dir, "map {}/three --threads 3").done();
     assert!(models(&dir.join("one")) == models(&dir.join("three")));
-    // Known intrinsics stay fixed, also when the stages run one by one.
-    let report: Value =
-        serde_json::from_slice(&fs::read(dir.join("three/report.json")).unwrap()).unwrap();
-    let camera = &report["models"][0]["cameras"][0];
-    assert_eq!(camera["model"], "PINHOLE");
-    assert_eq!(
-        camera["params"],
-        serde_json::json!([photos::FOCAL_PX, photos::FOCAL_PX, 160.0, 120.0])
-    );
+    // Known intrinsics are refined within their deviations, also when the stages run one by one.
+    let given = [photos::FOCAL_PX, photos::FOCAL_PX, 160.0, 120.0];
+    let camera_of = |options: &str| {
+        let line = format!("map {{}}/three {options} --redo map --json");
+        tiepoint_in(dir, &line).done().json()["models"][0]["cameras"][0].clone()
+    };
+    let refined = camera_of("");
+    assert_eq!(refined["model"], "OPENCV");
+    let [params, sigmas, deviations] = [
+        &refined["params"],
+        &refined["calibration"]["sigmas"],
+        &refined["calibration"]["deviations"],
+    ]
+    .map(|list| list.as_array().unwrap().iter().map(|n| n.as_f64().unwrap()).collect::<Vec<_>>());
+    for (index, given) in given.into_iter().chain([0.0; 4]).enumerate() {
+        assert_eq!(deviations[index], (params[index] - given) / sigmas[index], "{index}");
+        assert!(deviations[index].abs() < MAX_DEVIATIONS, "{index}: {params:?}");
+    }
+    assert!(deviations[0] != 0.0);
+    let closer = camera_of("--calibration-sigma 0.001");
+    let focal_px = |camera: &Value| camera["params"][0].as_f64().unwrap() - photos::FOCAL_PX;
+    assert!(focal_px(&closer).abs() < 0.1 * focal_px(&refined).abs(), "{closer}, {refined}");
+    let exact = camera_of("--refine none");
+    assert_eq!(exact["model"], "PINHOLE");
+    assert_eq!(exact["params"], serde_json::json!(given));
+    assert_eq!(exact["calibration"], Value::Null);
 }
+
+/// The photos are of exactly this lens: a deviation beyond three would be one in 400.
+const MAX_DEVIATIONS: f64 = 3.0;
 
 /// Two cameras look at a grid of nine points that are seen where they project, but for one that is
 /// off: the optimum is known to be near zero once everything may move.

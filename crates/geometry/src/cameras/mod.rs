@@ -294,6 +294,23 @@ impl Intrinsics {
         intrinsics
     }
 
+    /// The same projection by a model with distortion: of OPENCV for a pinhole camera, of
+    /// OPENCV_FISHEYE for an equidistant one. Others have distortion parameters and stay.
+    pub fn with_distortion(&self) -> Self {
+        let kind = match self.kind() {
+            CameraModelKind::SimplePinhole | CameraModelKind::Pinhole => CameraModelKind::Opencv,
+            CameraModelKind::SimpleFisheye | CameraModelKind::Fisheye => {
+                CameraModelKind::OpencvFisheye
+            }
+            _ => return *self,
+        };
+        let mut intrinsics = Self::zeroed(kind);
+        let (focal, centre) = (self.focal_lengths_px(), self.principal_point());
+        let params = [focal[0], focal[1], centre.x, centre.y];
+        intrinsics.params_mut()[..params.len()].copy_from_slice(&params);
+        intrinsics
+    }
+
     /// The mean of the focal lengths, in pixels.
     pub fn mean_focal_px(&self) -> f64 {
         let [fx, fy] = self.focal_lengths_px();

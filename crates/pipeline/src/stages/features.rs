@@ -183,7 +183,7 @@ impl Survey<'_> {
             skipped,
             notes,
             cameras: cameras
-                .map(|(index, camera)| CameraReport::new(CameraId::from_index(index), camera, None))
+                .map(|(index, camera)| CameraReport::new(CameraId::from_index(index), camera))
                 .collect(),
         };
         Ok(StageResult::features(database, report))

@@ -92,7 +92,7 @@ fn copy_database(file: &Path, run: &mut StageRun) -> Result<StageResult, Error> 
         skipped: Vec::new(),
         notes,
         cameras: cameras
-            .map(|(index, camera)| CameraReport::new(CameraId::from_index(index), camera, None))
+            .map(|(index, camera)| CameraReport::new(CameraId::from_index(index), camera))
             .collect(),
     };
     Ok(StageResult::features(database, report))

@@ -13,6 +13,7 @@ use tiepoint_io::database::{Database, DatabaseFrame};
 use tiepoint_io::features::Descriptors;
 use tiepoint_io::{ply, timestamps};
 use tiepoint_sfm::adjust::RefineIntrinsics;
+use tiepoint_sfm::geometry::OptionError;
 use tiepoint_sfm::rigs::{rig_candidates, rig_pairs};
 use tiepoint_sfm::scene::KnownRigs;
 use tiepoint_sfm::scene::{
@@ -23,6 +24,7 @@ use tiepoint_sfm::{
     self as sfm, ExistingPoses, Failure, MappedModel, Mapper, MapperOptions, OptionalStage, RigMode,
 };
 
+use crate::stages::calibration_priors::{calibrations_of, set_calibration_priors};
 use crate::stages::colors::color_points;
 use crate::stages::foreign_database::require_descriptors;
 use crate::stages::input_model::{InputModel, OpenedModel};
@@ -45,13 +47,16 @@ use crate::workspace::warning::Warning;
 use crate::{Error, Event, Stage, Watch, Workspace, emit};
 
 /// Options of mapping.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub struct MapOptions {
     /// Options of the mapper.
     pub mapper: MapperOptions,
-    /// Intrinsics to refine, also of cameras whose intrinsics are known; `None`: those of
-    /// [`MapOptions::mapper`], and known ones stay fixed.
+    /// Intrinsics to refine; `None`: those of [`MapOptions::mapper`]. Calibrated ones have a prior
+    /// at the calibration.
     pub refine: Option<RefineIntrinsics>,
+    /// Standard deviation of calibrated intrinsics: how far the error of each parameter moves
+    /// pixels at the border of the image ([`sfm::scene::IntrinsicsPrior::new`]), in pixels.
+    pub calibration_sigma_px: f64,
     /// Known distance between the first two cameras, in metres: it determines the scale of the
     /// models.
     pub baseline_m: Option<f64>,
@@ -62,6 +67,26 @@ pub struct MapOptions {
     pub rig_calibration: Option<PathBuf>,
     /// Whether the extrinsics of the known rigs are initial values, which are refined.
     pub refine_extrinsics: bool,
+}
+
+/// Of the calibrations that users give, the errors of each parameter move pixels at the border of
+/// the image by about this distance, in pixels. Checkerboards are detected to a tenth of a pixel,
+/// but lenses change with focus and temperature, and the lens models leave some tenths
+/// (`docs/benchmarks/drives.md` has half and double).
+const CALIBRATION_SIGMA_PX: f64 = 1.0;
+
+impl Default for MapOptions {
+    fn default() -> Self {
+        Self {
+            mapper: MapperOptions::default(),
+            refine: None,
+            calibration_sigma_px: CALIBRATION_SIGMA_PX,
+            baseline_m: None,
+            input_model: None,
+            rig_calibration: None,
+            refine_extrinsics: false,
+        }
+    }
 }
 
 /// Maps a workspace that has matches and writes its models, the largest first.
@@ -120,17 +145,18 @@ impl<'a> MapRequest<'a> {
         let of_features = |option| workspace.records.option(Stage::Features, option).is_some();
         if let Some(refine) = refine {
             mapper.refine = refine;
-        } else if of_features(option_names::INTRINSICS) {
-            mapper.refine = RefineIntrinsics::NONE;
         }
         mapper.validate()?;
+        OptionError::check_positive("calibration_sigma_px", given.calibration_sigma_px)?;
         let mut texts = option_keys::mapping_options(&mapper, baseline_m);
         let has_known = input_model.is_some()
             || rig_calibration.is_some()
             || [option_names::INTRINSICS, CalibrationFacts::CALIBRATED]
                 .into_iter()
                 .any(of_features);
-        texts.push(option_keys::known_intrinsics_option(refine.is_some() && has_known));
+        let is_refined = has_known && mapper.refine != RefineIntrinsics::NONE;
+        let sigma_px = is_refined.then_some(given.calibration_sigma_px);
+        texts.push(option_keys::calibration_sigma_option(sigma_px));
         let is_imported = of_features(option_names::DATABASE);
         if let Some(model) = &input_model {
             if rig_calibration.is_some() {
@@ -154,8 +180,14 @@ impl<'a> MapRequest<'a> {
     fn read(&self, run: &mut StageRun) -> Result<MapInput, Error> {
         let &MapOptions { refine, refine_extrinsics, .. } = self.given;
         let mut scene = load_scene(run.workspace)?;
+        let mut calibrations = calibrations_of(&scene);
+        let mut constant = BTreeSet::new();
+        let refines = self.options.refine != RefineIntrinsics::NONE;
         if let Some(model) = &self.input_model {
-            apply_input_model(&mut scene, model, refine.is_some(), run.watch)?;
+            let existing = apply_input_model(&mut scene, model, refines, run.watch)?;
+            if model.fix_existing_frames && refine.is_none() {
+                constant = existing;
+            }
         }
         let graph = load_graph(run.workspace, &scene)?;
         let rig_calibration = self.given.rig_calibration.as_deref();
@@ -173,11 +205,17 @@ impl<'a> MapRequest<'a> {
                 image: image.name.clone(),
             });
         }
-        if refine.is_some() {
-            let known = std::mem::take(&mut scene.calibrated);
-            scene.expected_intrinsics =
-                known.into_iter().map(|id| (id, scene.camera(id).intrinsics)).collect();
+        if refines {
+            for (camera, intrinsics) in calibrations_of(&scene) {
+                calibrations.entry(camera).or_insert(intrinsics);
+            }
+            scene.calibrated.clear();
+            calibrations.retain(|camera, _| !constant.contains(camera));
+            let distortion = self.options.refine.distortion;
+            let sigma_px = self.given.calibration_sigma_px;
+            set_calibration_priors(&mut scene, &calibrations, distortion, sigma_px);
         }
+        scene.calibrated.extend(constant);
         let total = scene.images().filter(|(_, image)| !image.keypoints.is_empty()).count();
         run.began(total, 0)?;
         Ok(MapInput { scene, graph, known_rigs })
@@ -387,13 +425,13 @@ fn image_without_focal(scene: &Reconstruction) -> Option<&Image> {
 }
 
 /// Replaces the scene by one with the poses and points of a model. Known intrinsics must be those
-/// of the model, unless they are refined.
+/// of the model, unless they are refined. Returns the cameras of the model.
 fn apply_input_model(
     scene: &mut Reconstruction,
     model: &OpenedModel,
     refines_known_intrinsics: bool,
     watch: Watch,
-) -> Result<(), Error> {
+) -> Result<BTreeSet<CameraId>, Error> {
     let found = model.transfer(scene)?;
     let is_replaced = |(id, image): &(ImageId, &Image)| {
         !refines_known_intrinsics
@@ -405,9 +443,6 @@ fn apply_input_model(
         return Err(Error::TwoCalibrations { image: image.name.clone() });
     }
     *scene = found.scene;
-    if model.fix_existing_frames {
-        scene.calibrated.extend(found.cameras);
-    }
     emit(
         watch,
         &Event::ModelExtended {
@@ -416,7 +451,8 @@ fn apply_input_model(
             other_keypoints: found.num_other_keypoints,
             points: scene.num_tracks(),
         },
-    )
+    )?;
+    Ok(found.cameras)
 }
 
 /// Reads the scene without poses from the database.

@@ -1,6 +1,7 @@
 //! The stages of a run: features, matches, models, dense clouds.
 
-pub(crate) mod colors;
+pub(crate) mod calibration_priors;
+mod colors;
 pub(crate) mod dense;
 pub(crate) mod extraction;
 pub(crate) mod features;

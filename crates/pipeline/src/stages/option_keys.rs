@@ -22,8 +22,8 @@ use tiepoint_sfm::two_view::VerifyOptions;
 
 use crate::stages::dense::options::DenseOptions;
 use crate::workspace::option_names::{
-    CALIBRATION_KEY, CAMERAS_KEY, DATABASE, EXTRACTOR, FOCAL_PRIOR, FOUND_PAIRS, INTRINSICS,
-    MATCHER, MAX_PIXELS_KEY, NONE, PAIRS, REFINE_EXTRINSICS_KEY, REFINE_KNOWN_KEY,
+    CALIBRATION_KEY, CALIBRATION_SIGMA_KEY, CAMERAS_KEY, DATABASE, EXTRACTOR, FOCAL_PRIOR,
+    FOUND_PAIRS, INTRINSICS, MATCHER, MAX_PIXELS_KEY, NONE, PAIRS, REFINE_EXTRINSICS_KEY,
     RIG_CALIBRATION_KEY,
 };
 
@@ -83,9 +83,9 @@ pub(crate) fn calibration_files_option(files: &[String]) -> (&'static str, Strin
     (CALIBRATION_KEY, or_none((!files.is_empty()).then(|| files.join(" "))))
 }
 
-/// Whether known intrinsics are refined, an option of the map stage.
-pub(crate) fn known_intrinsics_option(refine: bool) -> (&'static str, String) {
-    (REFINE_KNOWN_KEY, refine.to_string())
+/// The standard deviation of calibrated intrinsics that are refined, an option of the map stage.
+pub(crate) fn calibration_sigma_option(sigma_px: Option<f64>) -> (&'static str, String) {
+    (CALIBRATION_SIGMA_KEY, or_none(sigma_px.map(|sigma_px| format!("{sigma_px}px"))))
 }
 
 /// Known rigs by the hash of their file, and whether they are refined: options of the map stage.
@@ -434,7 +434,7 @@ mod tests {
             .into_iter()
             .chain(matching_options(String::new(), &Default::default(), 0))
             .chain([pixel_limit_option(DEFAULT_MAX_PIXELS), cameras_option(CameraGrouping::Auto)])
-            .chain([calibration_files_option(&[]), known_intrinsics_option(false)])
+            .chain([calibration_files_option(&[]), calibration_sigma_option(None)])
             .chain(rig_calibration_options(None, false))
             .chain(mapping_options(&mapper, None))
             .chain(input_model_options("", false))

@@ -8,8 +8,9 @@ use tiepoint_input::cameras::{camera_of_photo, is_named};
 use tiepoint_io::rig_calibration::{self, CameraOnRig, PhotosOfCamera};
 use tiepoint_sfm::frame_names::pairs_by_name;
 use tiepoint_sfm::rigs::frames_by_time;
+use tiepoint_sfm::scene::KnownRigs;
+use tiepoint_sfm::scene::rig::KnownFrame;
 use tiepoint_sfm::scene::{Camera, CameraId, ImageId, Reconstruction, Rig, RigId, RigSensor};
-use tiepoint_sfm::scene::{KnownFrame, KnownRigs};
 
 use crate::Error;
 

@@ -28,8 +28,8 @@ pub use model_output::{model_files, model_names, stage_model, write_model};
 pub use model_photos::{decoder_bytes, fingerprints_of, inputs_of, is_unchanged};
 pub use overlay_report::OverlayReport;
 pub use report::{
-    CameraReport, DenseReport, FeaturesReport, MapReport, MatchReport, ModelReport, Report,
-    ScaleReport, StageReports,
+    CalibrationReport, CameraReport, DenseReport, FeaturesReport, MapReport, MatchReport,
+    ModelReport, Report, ScaleReport, StageReports,
 };
 pub use rig_file::{ConstraintKind, RigCamera, RigClock, RigClockState, RigFile};
 pub use rig_report::{ExtrinsicsReport, PaperReport, RigCameraReport, RigReport, SplitReport};

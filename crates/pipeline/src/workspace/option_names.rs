@@ -18,8 +18,8 @@ pub(crate) const MAX_PIXELS_KEY: &str = "features.max_megapixels";
 
 /// Key of the files of known calibrations.
 pub(crate) const CALIBRATION_KEY: &str = "features.calibration";
-/// Key that tells whether known intrinsics are refined.
-pub(crate) const REFINE_KNOWN_KEY: &str = "mapper.refine.known";
+/// Key of the standard deviation of calibrated intrinsics.
+pub(crate) const CALIBRATION_SIGMA_KEY: &str = "mapper.calibration_sigma";
 
 /// Key of the database of another program, whose features are taken.
 pub(crate) const DATABASE: &str = "features.database";
@@ -44,10 +44,7 @@ pub(crate) const CAMERAS_KEY: &str = "features.cameras";
 /// How an option differs between two runs, given its values in the records, as in "made with
 /// `match.pairs` exhaustive and not sequential:5".
 pub(crate) fn difference(key: &str, was: &str, is: &str) -> String {
-    let parameter = match key {
-        REFINE_KNOWN_KEY => Some("known intrinsics".to_owned()),
-        _ => key.strip_prefix("mapper.refine.").map(|parameter| parameter.replace('_', "-")),
-    };
+    let parameter = key.strip_prefix("mapper.refine.").map(|parameter| parameter.replace('_', "-"));
     if let Some(parameter) = parameter {
         let [was, is] = [was, is].map(|value| if value == "true" { "refined" } else { "fixed" });
         return format!("{parameter} {was} and not {is} (`mapper.refine`)");

@@ -2,8 +2,9 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 use tiepoint_input::SkippedImage;
+use tiepoint_sfm::geometry::Intrinsics;
 use tiepoint_sfm::rolling_shutter::RollingShutter;
-use tiepoint_sfm::scene::{Camera, CameraId, Reconstruction};
+use tiepoint_sfm::scene::{Camera, CameraId, IntrinsicsPrior, Reconstruction};
 use tiepoint_store::{Error as StoreError, require_regular_file};
 
 use crate::workspace::file_names::DENSE_CLOUD;
@@ -185,6 +186,9 @@ pub struct CameraReport {
     pub height: u32,
     /// Parameters of the camera model, in COLMAP's order.
     pub params: Vec<f64>,
+    /// The calibration that was given, and how far it was refined.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub calibration: Option<CalibrationReport>,
     /// With `--rolling-shutter`: readout time from the first row to the last, in seconds.
     #[serde(default)]
     pub readout_s: Option<f64>,
@@ -193,18 +197,51 @@ pub struct CameraReport {
     pub readout_sd_s: Option<f64>,
 }
 
-impl CameraReport {
-    pub(crate) fn new(id: CameraId, camera: &Camera, shutter: Option<&RollingShutter>) -> Self {
-        let (model, params) =
-            (camera.intrinsics.kind().name().to_owned(), camera.intrinsics.params().to_vec());
-        let readout_s = shutter.map(|shutter| shutter.readout_s);
-        let readout_sd_s =
-            shutter.and_then(|shutter| shutter.readout_sd_s).filter(|sd_s| sd_s.is_finite());
-        let (width, height) = (camera.width, camera.height);
-        Self { id: id.0 + 1, model, width, height, params, readout_s, readout_sd_s }
+/// A calibration of a camera that was refined. Parameters are in COLMAP's order.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(expecting = "an object")]
+pub struct CalibrationReport {
+    /// The calibrated parameters.
+    pub params: Vec<f64>,
+    /// Their standard deviations. `None` for parameters without influence on pixels.
+    pub sigmas: Vec<Option<f64>>,
+    /// By how many standard deviations the refined parameters differ.
+    pub deviations: Vec<f64>,
+}
+
+impl CalibrationReport {
+    /// Of refined intrinsics; `None` if they are of another camera model than the calibration.
+    fn new(prior: &IntrinsicsPrior, refined: &Intrinsics) -> Option<Self> {
+        let finite = |sigma: &f64| sigma.is_finite().then_some(*sigma);
+        (prior.mean.kind() == refined.kind()).then(|| Self {
+            params: prior.mean.params().to_vec(),
+            sigmas: prior.sigmas.iter().map(finite).collect(),
+            deviations: prior.deviations(refined),
+        })
     }
 }
 
+impl CameraReport {
+    /// The report on a camera before mapping.
+    pub(crate) fn new(id: CameraId, camera: &Camera) -> Self {
+        let (model, params) =
+            (camera.intrinsics.kind().name().to_owned(), camera.intrinsics.params().to_vec());
+        let (width, height) = (camera.width, camera.height);
+        let (calibration, readout_s, readout_sd_s) = (None, None, None);
+        Self { id: id.0 + 1, model, width, height, params, calibration, readout_s, readout_sd_s }
+    }
+
+    /// The report on a camera of a model.
+    fn of_model(id: CameraId, model: &Reconstruction, shutter: Option<&RollingShutter>) -> Self {
+        let camera = model.camera(id);
+        let prior = model.intrinsics_priors.get(&id);
+        let calibration = prior.and_then(|prior| CalibrationReport::new(prior, &camera.intrinsics));
+        let readout_s = shutter.map(|shutter| shutter.readout_s);
+        let readout_sd_s =
+            shutter.and_then(|shutter| shutter.readout_sd_s).filter(|sd_s| sd_s.is_finite());
+        Self { calibration, readout_s, readout_sd_s, ..Self::new(id, camera) }
+    }
+}
 impl ModelReport {
     /// The report on a model and the shutters of its cameras, without rig and scale.
     pub(crate) fn new(path: String, model: &Reconstruction, shutters: &[RollingShutter]) -> Self {
@@ -224,8 +261,9 @@ impl ModelReport {
             cameras: model
                 .cameras()
                 .filter(|(id, _)| is_used(id))
-                .map(|(id, c)| {
-                    CameraReport::new(id, c, shutters.iter().find(|shutter| shutter.camera == id))
+                .map(|(id, _)| {
+                    let shutter = shutters.iter().find(|shutter| shutter.camera == id);
+                    CameraReport::of_model(id, model, shutter)
                 })
                 .collect(),
             rig: None,

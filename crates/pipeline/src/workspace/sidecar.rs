@@ -9,9 +9,9 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 use tiepoint_input::fingerprint::hash_files;
 use tiepoint_io::colmap::{Format, MODEL_FILES};
-use tiepoint_sfm::geometry::Intrinsics;
+use tiepoint_sfm::geometry::{CameraModelKind, Intrinsics};
 use tiepoint_sfm::rolling_shutter::RollingShutter;
-use tiepoint_sfm::scene::{CameraId, PointId, Reconstruction};
+use tiepoint_sfm::scene::{CameraId, IntrinsicsPrior, PointId, Reconstruction};
 
 use crate::Error;
 use crate::workspace::format;
@@ -45,9 +45,9 @@ struct CameraFacts {
     is_calibrated: bool,
     /// Whether its focal length was known before, at least roughly.
     has_focal_prior: bool,
-    /// The parameters around which adjustments have their prior.
+    /// The calibration around which adjustments have their prior.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    expected_params: Option<Vec<f64>>,
+    calibration: Option<CalibrationFacts>,
     /// Time between the exposures of the first and the last row of a rolling shutter, in seconds.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     readout_s: Option<f64>,
@@ -58,6 +58,34 @@ struct CameraFacts {
     /// JSON does not have.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     is_readout_unobservable: bool,
+}
+
+/// A calibration of a camera, for the model that its intrinsics have.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(expecting = "an object that describes a calibration")]
+struct CalibrationFacts {
+    params: Vec<f64>,
+    /// Standard deviations; `None` for an infinite one, which JSON does not have.
+    sigmas: Vec<Option<f64>>,
+}
+
+impl CalibrationFacts {
+    fn new(prior: &IntrinsicsPrior) -> Self {
+        let finite = |sigma: &f64| sigma.is_finite().then_some(*sigma);
+        let sigmas = prior.sigmas.iter().map(finite).collect();
+        Self { params: prior.mean.params().to_vec(), sigmas }
+    }
+
+    /// The prior of a camera of this model; an error in words.
+    fn prior(&self, kind: CameraModelKind) -> Result<IntrinsicsPrior, String> {
+        let mean = Intrinsics::new(kind, &self.params).map_err(|error| error.to_string())?;
+        let sigmas: Vec<f64> =
+            self.sigmas.iter().map(|sigma| sigma.unwrap_or(f64::INFINITY)).collect();
+        match sigmas.len() == kind.num_params() && sigmas.iter().all(|sigma| *sigma > 0.0) {
+            true => Ok(IntrinsicsPrior { mean, sigmas }),
+            false => Err(format!("{} positive sigmas are expected", kind.num_params())),
+        }
+    }
 }
 
 /// What COLMAP's files do not say of an image.
@@ -90,12 +118,11 @@ impl Sidecar {
         let camera = |id: CameraId| {
             let shutter = shutters.iter().find(|shutter| shutter.camera == id);
             let sd_s = shutter.and_then(|shutter| shutter.readout_sd_s);
-            let expected = model.expected_intrinsics.get(&id);
             CameraFacts {
                 id: ids.camera(id),
                 is_calibrated: model.calibrated.contains(&id),
                 has_focal_prior: model.camera(id).has_focal_prior,
-                expected_params: expected.map(|expected| expected.params().to_vec()),
+                calibration: model.intrinsics_priors.get(&id).map(CalibrationFacts::new),
                 readout_s: shutter.map(|shutter| shutter.readout_s),
                 readout_sd_s: sd_s.filter(|sd_s| sd_s.is_finite()),
                 is_readout_unobservable: sd_s == Some(f64::INFINITY),
@@ -163,11 +190,11 @@ impl Sidecar {
             let Some(&id) = cameras.get(&facts.id) else { continue };
             let camera = model.camera_mut(id);
             camera.has_focal_prior = facts.has_focal_prior;
-            if let Some(params) = facts.expected_params {
-                let kind = camera.intrinsics.kind();
-                let expected = Intrinsics::new(kind, &params)
-                    .map_err(|error| format!("the expected parameters of a camera: {error}"))?;
-                model.expected_intrinsics.insert(id, expected);
+            if let Some(calibration) = facts.calibration {
+                let prior = calibration
+                    .prior(camera.intrinsics.kind())
+                    .map_err(|error| format!("the calibration of a camera: {error}"))?;
+                model.intrinsics_priors.insert(id, prior);
             }
             if facts.is_calibrated {
                 model.calibrated.insert(id);
@@ -237,7 +264,8 @@ mod tests {
         }
         model.track_mut(PointId(1)).unwrap().is_held_out = true;
         model.calibrated.insert(cameras[1]);
-        model.expected_intrinsics.insert(cameras[0], intrinsics);
+        let prior = IntrinsicsPrior::new(intrinsics, 640, 480, 0.7);
+        model.intrinsics_priors.insert(cameras[0], prior);
         model.portrait_landscape_pairs = vec![cameras];
         model
     }
@@ -280,7 +308,7 @@ mod tests {
                 };
                 assert_eq!(images(read), images(&model));
                 assert_eq!(read.calibrated, model.calibrated);
-                assert_eq!(read.expected_intrinsics, model.expected_intrinsics);
+                assert_eq!(read.intrinsics_priors, model.intrinsics_priors);
                 assert_eq!(read.portrait_landscape_pairs, model.portrait_landscape_pairs);
                 assert!(read.cameras().eq(model.cameras()));
                 assert!(read.tracks().map(|(_, t)| t.is_held_out).eq([false, true]));

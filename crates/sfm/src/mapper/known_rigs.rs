@@ -7,7 +7,8 @@
 
 use tiepoint_geometry::numeric::median;
 use tiepoint_geometry::{Rigid3, Sim3};
-use tiepoint_scene::{Frame, ImageId, KnownFrame, KnownRigs, Reconstruction, Rig};
+use tiepoint_scene::rig::KnownFrame;
+use tiepoint_scene::{Frame, ImageId, KnownRigs, Reconstruction, Rig};
 
 use super::growth::Growth;
 use super::refinement_schedule::RefinementSchedule;

@@ -145,7 +145,8 @@ impl<'a> Refiner<'a> {
     }
 
     /// Options of an adjustment: intrinsics are refined as far as the registered images determine
-    /// them.
+    /// them. Calibrated ones stay constant while the model grows. After that the calibration holds
+    /// what the images do not determine.
     pub(super) fn adjust_options(&self, schedule: &RefinementSchedule) -> AdjustOptions<'a> {
         let Input { options, focal_priors, .. } = self.input;
         let Solution { ref model, phase, initial_pair, is_in_frame_of_terms, .. } = self.solution;
@@ -160,8 +161,10 @@ impl<'a> Refiner<'a> {
                 ..RefineIntrinsics::NONE
             };
         }
+        let mut refine_calibrated =
+            if is_complete { options.refine } else { RefineIntrinsics::NONE };
         if model.num_registered() < 3 {
-            refine = RefineIntrinsics::NONE;
+            (refine, refine_calibrated) = (RefineIntrinsics::NONE, RefineIntrinsics::NONE);
         }
         let gauge = match initial_pair {
             _ if is_in_frame_of_terms => Gauge::FixedByTerms,
@@ -170,6 +173,7 @@ impl<'a> Refiner<'a> {
         };
         let adjust = AdjustOptions {
             refine,
+            refine_calibrated: Some(refine_calibrated),
             select_tracks: schedule.select_tracks,
             loss: options.loss,
             focal_priors,

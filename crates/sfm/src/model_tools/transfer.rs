@@ -110,7 +110,7 @@ pub fn transfer_model(
         }
     }
     out.calibrated.clone_from(&scene.calibrated);
-    out.expected_intrinsics.clone_from(&scene.expected_intrinsics);
+    out.intrinsics_priors.clone_from(&scene.intrinsics_priors);
     out.portrait_landscape_pairs.clone_from(&scene.portrait_landscape_pairs);
     Ok(Transferred {
         scene: out,

@@ -10,8 +10,9 @@ use std::collections::BTreeSet;
 use tiepoint_geometry::estimate::{RigCamera, RigObservation};
 use tiepoint_geometry::nalgebra::{Vector2, Vector3};
 use tiepoint_geometry::{OptionError, RansacOptions, Report, Rigid3, estimate};
+use tiepoint_scene::rig::KnownFrame;
 use tiepoint_scene::{
-    Camera, CorrespondenceGraph, Frame, ImageId, KnownFrame, Observation, PointId, Reconstruction,
+    Camera, CorrespondenceGraph, Frame, ImageId, Observation, PointId, Reconstruction,
 };
 
 /// A second pose is considered if it has at least this fraction of the first pose's inliers. It is

@@ -7,7 +7,8 @@ use tiepoint_geometry::nalgebra::Vector3;
 use tiepoint_scene::{
     CorrespondenceGraph, ImageId, ImagePair, Match, Reconstruction, Rig, RigId, RigSensor, TwoView,
 };
-use tiepoint_sfm::scene::{KnownFrame, KnownRigs};
+use tiepoint_sfm::scene::KnownRigs;
+use tiepoint_sfm::scene::rig::KnownFrame;
 use tiepoint_sfm::{Error, ExistingPoses, MappedModel, Mapper, MapperOptions, OptionalStage};
 
 use crate::rig::{BASELINE_M, NUM_FRAMES, Truth, drive};

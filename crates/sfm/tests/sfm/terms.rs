@@ -4,8 +4,9 @@ use std::collections::BTreeSet;
 
 use tiepoint_geometry::nalgebra::Vector3;
 use tiepoint_geometry::{Rigid3, Rng};
+use tiepoint_scene::rig::KnownFrame;
 use tiepoint_scene::{
-    CorrespondenceGraph, ImageId, KnownFrame, KnownRigs, Reconstruction, Rig, RigId, RigSensor,
+    CorrespondenceGraph, ImageId, KnownRigs, Reconstruction, Rig, RigId, RigSensor,
 };
 use tiepoint_sfm::adjust::{Error, TermContext, TermFrame, Variables};
 use tiepoint_sfm::adjust::{RefineIntrinsics, Scope, Term};
