@@ -21,7 +21,7 @@ use crate::options::{AdjustOptions, RefineIntrinsics, Scope};
 use crate::portrait_landscape::{CameraKey, add_portrait_landscape};
 use crate::selection::select_points;
 use crate::term::{Shifted, Term, TermContext};
-use crate::variables::{ComposedPose, Variables};
+use crate::variables::{ComposedPose, ObservationFactor, Variables};
 
 /// For each image: its keypoints that observe a point of the problem.
 type Observations = Vec<Vec<(u32, Key<Vector3<f64>>)>>;
@@ -204,6 +204,7 @@ fn add_camera(
         RefineIntrinsics::NONE
     };
     let camera_of_images = model.camera(camera);
+    let mut factors = Vec::new();
     let key: CameraKey = with_camera_model!(&camera_of_images.intrinsics, M, params => {
         let kind = camera_of_images.intrinsics.kind();
         let columns = fixed_columns(kind, refine);
@@ -221,22 +222,25 @@ fn add_camera(
         for (image, pose) in &images {
             let shifts = terms.iter().find_map(|term| term.shifts_of(camera, *image));
             let observations_of_image = ImageObservations {
+                image: *image,
                 keypoints: &model.image(*image).keypoints,
                 observed: &observations[image.index()],
                 pose: *pose,
                 shifts,
             };
-            observations_of_image.add::<M>(problem, key, options.loss)?;
+            observations_of_image.add::<M>(problem, key, options.loss, &mut factors)?;
         }
         let read = move |problem: &Problem| problem.get(key).as_slice().to_vec();
-        variables.cameras.push((camera, Box::new(read)));
+        variables.cameras.push((camera, key.into(), Box::new(read)));
         (camera, Box::new(key))
     });
+    variables.observations.extend(factors);
     Ok(Some(key))
 }
 
 /// The observations of an image.
 struct ImageObservations<'a> {
+    image: ImageId,
     keypoints: &'a [Keypoint],
     observed: &'a [(u32, Key<Vector3<f64>>)],
     pose: Pose,
@@ -244,36 +248,34 @@ struct ImageObservations<'a> {
 }
 
 impl ImageObservations<'_> {
-    /// Adds a reprojection factor for each observed point.
+    /// Adds a reprojection factor for each observed point, and lists it in `factors`.
     fn add<M: CameraModel>(
         &self,
         problem: &mut Problem,
         params: Key<M::Params>,
         loss: Loss,
+        factors: &mut Vec<ObservationFactor>,
     ) -> Result<(), Error> {
         for &(index, point) in self.observed {
-            let index = index as usize;
-            let keypoint = &self.keypoints[index];
+            let keypoint = &self.keypoints[index as usize];
             let (pixel, sigma_px) = (keypoint.pixel, keypoint_sigma_px(keypoint.scale_px));
-            match (self.pose, self.shifts) {
+            let factor = match (self.pose, self.shifts) {
                 (Pose::Variable(pose), Some((shift_scale, shifts))) => {
-                    let Shifted { pixel, shift } = shifts[index];
+                    let Shifted { pixel, shift } = shifts[index as usize];
                     let unshifted = Reprojection::<M>::new(pixel, sigma_px);
                     let factor = ShiftedReprojection { unshifted, shift };
-                    problem.add((params, pose, shift_scale, point), factor, loss)?;
+                    problem.add((params, pose, shift_scale, point), factor, loss)?
                 }
                 (Pose::Variable(pose), None) => {
-                    problem.add(
-                        (params, pose, point),
-                        Reprojection::<M>::new(pixel, sigma_px),
-                        loss,
-                    )?;
+                    let factor = Reprojection::<M>::new(pixel, sigma_px);
+                    problem.add((params, pose, point), factor, loss)?
                 }
                 (Pose::Composed(ComposedPose { cam_from_rig, rig_from_world }), _) => {
                     let factor = RigReprojection::<M>::new(pixel, sigma_px);
-                    problem.add((params, cam_from_rig, rig_from_world, point), factor, loss)?;
+                    problem.add((params, cam_from_rig, rig_from_world, point), factor, loss)?
                 }
-            }
+            };
+            factors.push(ObservationFactor { factor, image: self.image, keypoint: index });
         }
         Ok(())
     }
