@@ -252,27 +252,21 @@ impl<'a, F: Fn(FactorKey) -> Option<u32> + Sync> Scorer<'a, F> {
         factors: &[Linearised<'_>],
         scores: &mut Scores,
     ) {
-        let landmark = LandmarkColumns::new(self, task, landmark, factors);
-        let part = || ScorePart::new(self.inverse.kept.ncols(), landmark.l.nrows());
+        let (directions, p) = (self.inverse.kept.ncols(), landmark.dof as usize);
+        let part = || ScorePart::new(directions, p);
         let (mut whole, mut parts): (_, Vec<(u32, ScorePart)>) = (part(), Vec::new());
-        for factor in factors.iter().filter(|factor| factor.is_valid) {
-            let group = &self.problem.factor_groups[factor.key.group as usize];
-            let total: usize = group.dofs().iter().sum();
-            let cluster = (self.cluster_of)(factor.key);
-            for row in factor.rows.chunks_exact(group.stride()) {
-                let (jx, z) = landmark.product(self, factor, row);
-                let Some(number) = cluster else {
-                    scores.independent.ger(1.0, &jx, &jx, 1.0);
-                    continue;
-                };
-                let at = parts.iter().position(|(other, _)| *other == number);
-                let at = at.unwrap_or_else(|| {
-                    parts.push((number, part()));
-                    parts.len() - 1
-                });
-                whole.add(&jx, &z, row[total]);
-                parts[at].1.add(&jx, &z, row[total]);
-            }
+        for Row { cluster, jx, z, residual } in self.rows(task, landmark, factors) {
+            let Some(number) = cluster else {
+                scores.independent.ger(1.0, &jx, &jx, 1.0);
+                continue;
+            };
+            let at = parts.iter().position(|(other, _)| *other == number);
+            let at = at.unwrap_or_else(|| {
+                parts.push((number, part()));
+                parts.len() - 1
+            });
+            whole.add(&jx, &z, residual);
+            parts[at].1.add(&jx, &z, residual);
         }
         if !parts.is_empty() {
             scores.by_landmark.add(&whole.score());
@@ -282,6 +276,45 @@ impl<'a, F: Fn(FactorKey) -> Option<u32> + Sync> Scorer<'a, F> {
             scores.by_both.add(&score);
             scores.add_to_cluster(number, &score);
         }
+    }
+
+    /// The rows of a landmark's factors.
+    fn rows(&self, task: &Task, landmark: &LandmarkBlock, factors: &[Linearised<'_>]) -> Vec<Row> {
+        let (p, store, slot) = (landmark.dof as usize, landmark.store, landmark.slot);
+        // LᵀX_p = L⁻¹ (E − WᵀX_c), with E = 1 in the requested directions of the landmark itself.
+        let mut x = DMatrix::zeros(p, self.inverse.kept.ncols());
+        let (mut l, mut free) = (DMatrix::zeros(0, 0), 0);
+        if p > 0 {
+            let stash = LandmarkStash::of(&self.inverse.system.memory, landmark, task);
+            l = DMatrix::from_fn(p, p, |i, j| if j <= i { stash.factor(i, j) } else { 0.0 });
+            free = self.problem.metas[store as usize][slot as usize].free;
+            if let Some(&first) = self.landmarks.get(&(store, slot)) {
+                let moving = (0..p).filter(|k| free >> k & 1 == 1);
+                moving.for_each(|k| x[(k, first + k)] = 1.0);
+                l.solve_lower_triangular_unchecked_mut(&mut x);
+            }
+        }
+        let mut rows = Vec::new();
+        for factor in factors.iter().filter(|factor| factor.is_valid) {
+            let group = &self.problem.factor_groups[factor.key.group as usize];
+            let total: usize = group.dofs().iter().sum();
+            let before = group.dofs().iter().take(factor.landmark_position as usize);
+            let start: usize = before.sum();
+            let cluster = (self.cluster_of)(factor.key);
+            for row in factor.rows.chunks_exact(group.stride()) {
+                let mut z =
+                    DVector::from_fn(
+                        p,
+                        |k, _| if free >> k & 1 == 1 { row[start + k] } else { 0.0 },
+                    );
+                l.solve_lower_triangular_unchecked_mut(&mut z);
+                let jx = self.kept_product(factor, row);
+                x.ger(-1.0, &z, &jx, 1.0);
+                rows.push(Row { cluster, jx, z, residual: row[total] });
+            }
+        }
+        rows.iter_mut().for_each(|row| row.jx.gemv_tr(1.0, &x, &row.z, 1.0));
+        rows
     }
 
     /// The product of a factor's row with X of its kept variables.
@@ -305,69 +338,14 @@ impl<'a, F: Fn(FactorKey) -> Option<u32> + Sync> Scorer<'a, F> {
     }
 }
 
-/// A landmark with its rows of X.
-struct LandmarkColumns {
-    /// L of V = LLᵀ.
-    l: DMatrix<f64>,
-    /// X_p, plus V⁻¹ in the requested directions of the landmark itself.
-    x: DMatrix<f64>,
-    free: u64,
-}
-
-impl LandmarkColumns {
-    fn new<F: Fn(FactorKey) -> Option<u32> + Sync>(
-        scorer: &Scorer<'_, F>,
-        task: &Task,
-        landmark: &LandmarkBlock,
-        factors: &[Linearised<'_>],
-    ) -> Self {
-        let (p, directions) = (landmark.dof as usize, scorer.inverse.kept.ncols());
-        let mut x = DMatrix::zeros(p, directions);
-        if p == 0 {
-            return Self { l: DMatrix::zeros(0, 0), x, free: 0 };
-        }
-        let (store, slot) = (landmark.store, landmark.slot);
-        let free = scorer.problem.metas[store as usize][slot as usize].free;
-        let stash = LandmarkStash::of(&scorer.inverse.system.memory, landmark, task);
-        let l = DMatrix::from_fn(p, p, |i, j| if j <= i { stash.factor(i, j) } else { 0.0 });
-        let mut this = Self { l, x: DMatrix::zeros(0, 0), free };
-        for factor in factors {
-            let group = &scorer.problem.factor_groups[factor.key.group as usize];
-            for row in factor.rows.chunks_exact(group.stride()) {
-                let jacobian = this.jacobian(group.dofs(), factor, row);
-                x.ger(-1.0, &jacobian, &scorer.kept_product(factor, row), 1.0);
-            }
-        }
-        if let Some(&first) = scorer.landmarks.get(&(store, slot)) {
-            (0..p).filter(|k| free >> k & 1 == 1).for_each(|k| x[(k, first + k)] += 1.0);
-        }
-        this.l.solve_lower_triangular_unchecked_mut(&mut x);
-        this.l.tr_solve_lower_triangular_unchecked_mut(&mut x);
-        this.x = x;
-        this
-    }
-
-    /// A factor's row with respect to the landmark, without fixed directions.
-    fn jacobian(&self, dofs: &[usize], factor: &Linearised<'_>, row: &[f64]) -> DVector<f64> {
-        let start: usize = dofs.iter().take(factor.landmark_position as usize).sum();
-        let moves = |k: usize| self.free >> k & 1 == 1;
-        DVector::from_fn(self.l.nrows(), |k, _| if moves(k) { row[start + k] } else { 0.0 })
-    }
-
-    /// JX and Z = J_p L⁻ᵀ of a factor's row.
-    fn product<F: Fn(FactorKey) -> Option<u32> + Sync>(
-        &self,
-        scorer: &Scorer<'_, F>,
-        factor: &Linearised<'_>,
-        row: &[f64],
-    ) -> (DVector<f64>, DVector<f64>) {
-        let dofs = scorer.problem.factor_groups[factor.key.group as usize].dofs();
-        let mut z = self.jacobian(dofs, factor, row);
-        let mut jx = scorer.kept_product(factor, row);
-        jx.gemv_tr(1.0, &self.x, &z, 1.0);
-        self.l.solve_lower_triangular_unchecked_mut(&mut z);
-        (jx, z)
-    }
+/// A row of a factor's Jacobian.
+struct Row {
+    cluster: Option<u32>,
+    /// JX.
+    jx: DVector<f64>,
+    /// Z = J_p L⁻ᵀ.
+    z: DVector<f64>,
+    residual: f64,
 }
 
 /// Sums over the factors that a landmark and a cluster have in common.
