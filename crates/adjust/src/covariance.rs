@@ -3,7 +3,7 @@
 //! Residuals of keypoints are correlated along tracks, because detectors slip on their surface, and
 //! within a part of the camera's image, because lens models leave a smooth field of displacements.
 //! Such errors do not average out over many keypoints: with a field of 0.1 to 0.2 px, the
-//! covariance for independent residuals states a quarter to an eighth of the true deviations.
+//! covariance for independent residuals states a third to an eighth of the true deviations.
 //! Cluster-robust covariances need no model of the correlation.
 
 use tiepoint_ba::nalgebra::DMatrix;

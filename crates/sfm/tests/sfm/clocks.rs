@@ -143,7 +143,7 @@ const NORMALISED_RMS: Range<f64> = 0.7..1.4;
 const NORMALISED_RMS_OF_5: Range<f64> = 0.29..1.83;
 
 /// Deviations hold although the errors of all images are the same function of the pixel. For
-/// independent residuals they would be too small by a factor of three to nine.
+/// independent residuals they would be too small by a factor of three to eight.
 #[test]
 fn deviations_hold_with_a_lens_field() {
     for &lens_field_px in sample(&LENS_FIELDS_PX) {
