@@ -6,8 +6,9 @@
 `./check` maps each synthetic scene of crates/sfm/tests on the first seed of its grid alone; this
 takes the whole grids, by TIEPOINT_ALL_SEEDS=1, with the same assertions: the shape of calibrated,
 uncalibrated and precisely seen scenes and of those with keypoints that are off (mapper), clocks and
-extrinsics with their uncertainty over all seeds (clocks), lenses (lens), facades that repeat
-(repetition), the paper's term (rig). FILTER chooses tests by a part of their names."""
+extrinsics with their uncertainty over all seeds (clocks) and with a lens field (deviations), lenses
+(lens), facades that repeat (repetition), the paper's term (rig). FILTER chooses tests by a part of
+their names."""
 
 import os
 import subprocess

@@ -1,5 +1,6 @@
 #![doc = include_str!("../README.md")]
 
+mod covariance;
 mod error;
 mod gauge;
 mod image_grid;
@@ -16,10 +17,11 @@ mod term;
 mod triangulation;
 mod variables;
 
+pub use covariance::covariance_of_fit;
 pub use error::Error;
 pub use gauge::{Gauge, fix_gauge};
 pub use image_grid::grid_cell;
-pub use noise::{keypoint_sigma_px, noise_of_fit, relative_noise};
+pub use noise::{FitNoise, keypoint_sigma_px, relative_noise};
 pub use options::{AdjustOptions, FocalPrior, RefineIntrinsics, Scope};
 pub use problem::build_problem;
 pub use solve::{adjust, keep_going};

@@ -32,24 +32,37 @@ pub fn relative_noise(model: &Reconstruction) -> f64 {
         .max(f64::MIN_POSITIVE)
 }
 
-/// The σ for which σ² (JᵀWJ)⁻¹ is the covariance of a fit with a robust loss and weights W = ρ', as
-/// a multiple of [`keypoint_sigma_px`]. The covariance of an M-estimator is E ψ² / (E ψ')² (JᵀJ)⁻¹
-/// (Huber 1981, section 7.6), and JᵀWJ = E ρ' JᵀJ. For the squared loss σ is the root mean square
-/// error.
-pub fn noise_of_fit(model: &Reconstruction, loss: &Loss) -> f64 {
-    let Errors { relative, freedom } = Errors::of(model);
-    let (mut squares, mut slopes, mut weights) = (0.0, 0.0, 0.0);
-    for s in relative.iter().map(|error| error * error) {
-        let [_, d1, d2] = loss.evaluate(s);
-        // Per coordinate of a two-dimensional residual.
-        squares += 0.5 * d1 * d1 * s;
-        slopes += d1 + d2 * s;
-        weights += d1;
-    }
-    if slopes > 0.0 {
-        ((squares * weights).sqrt() / slopes / freedom.sqrt()).max(f64::MIN_POSITIVE)
-    } else {
-        1.0
+/// Noise of the keypoints of a fit with a robust loss.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FitNoise {
+    /// The σ for which σ² (JᵀWJ)⁻¹ is the covariance of a fit with weights W = ρ' and independent
+    /// residuals, as a multiple of [`keypoint_sigma_px`]. For the squared loss it is the root mean
+    /// square error.
+    pub sigma: f64,
+    /// E ρ' / E ψ': the normal equations JᵀWJ overestimate the curvature of the cost by this
+    /// factor. It is 1 for the squared loss.
+    pub curvature_excess: f64,
+}
+
+impl FitNoise {
+    /// The noise of a model that was fitted with a loss. The covariance of an M-estimator is E ψ² /
+    /// (E ψ')² (JᵀJ)⁻¹ (Huber 1981, section 7.6), and JᵀWJ = E ρ' JᵀJ.
+    pub fn of(model: &Reconstruction, loss: &Loss) -> Self {
+        let Errors { relative, freedom } = Errors::of(model);
+        let (mut squares, mut slopes, mut weights) = (0.0, 0.0, 0.0);
+        for s in relative.iter().map(|error| error * error) {
+            let [_, d1, d2] = loss.evaluate(s);
+            // Per coordinate of a two-dimensional residual.
+            squares += 0.5 * d1 * d1 * s;
+            slopes += d1 + d2 * s;
+            weights += d1;
+        }
+        if slopes > 0.0 {
+            let sigma = (squares * weights).sqrt() / slopes / freedom.sqrt();
+            Self { sigma: sigma.max(f64::MIN_POSITIVE), curvature_excess: weights / slopes }
+        } else {
+            Self { sigma: 1.0, curvature_excess: 1.0 }
+        }
     }
 }
 

@@ -21,7 +21,7 @@ use crate::options::{AdjustOptions, RefineIntrinsics, Scope};
 use crate::portrait_landscape::{CameraKey, add_portrait_landscape};
 use crate::selection::select_points;
 use crate::term::{Shifted, Term, TermContext};
-use crate::variables::{ComposedPose, Variables};
+use crate::variables::{ComposedPose, ObservationFactor, Variables};
 
 /// For each image: its keypoints that observe a point of the problem.
 type Observations = Vec<Vec<(u32, Key<Vector3<f64>>)>>;
@@ -194,20 +194,12 @@ fn add_camera(
     for term in terms.iter_mut() {
         term.add_to_camera(context, camera, variables)?;
     }
-    // The images of a local adjustment determine the intrinsics too weakly if the camera has other
-    // images.
-    let mut all = model.registered().filter(|(_, image, _)| image.camera == camera);
     let camera_of_images = model.camera(camera);
     let is_of_kind =
         |prior: &&IntrinsicsPrior| prior.mean.kind() == camera_of_images.intrinsics.kind();
     let calibration = model.intrinsics_priors.get(&camera).filter(is_of_kind);
-    let is_constant =
-        model.calibrated.contains(&camera) || !all.all(|(id, ..)| context.scope.is_variable(id));
-    let refine = match calibration {
-        _ if is_constant => RefineIntrinsics::NONE,
-        Some(_) => options.refine_calibrated.unwrap_or(options.refine),
-        None => options.refine,
-    };
+    let refine = intrinsics_to_refine(context, options, camera, calibration.is_some());
+    let mut factors = Vec::new();
     let key: CameraKey = with_camera_model!(&camera_of_images.intrinsics, M, params => {
         let kind = camera_of_images.intrinsics.kind();
         let columns = fixed_columns(kind, refine);
@@ -224,22 +216,43 @@ fn add_camera(
         for (image, pose) in &images {
             let shifts = terms.iter().find_map(|term| term.shifts_of(camera, *image));
             let observations_of_image = ImageObservations {
+                image: *image,
                 keypoints: &model.image(*image).keypoints,
                 observed: &observations[image.index()],
                 pose: *pose,
                 shifts,
             };
-            observations_of_image.add::<M>(problem, key, options.loss)?;
+            observations_of_image.add::<M>(problem, key, options.loss, &mut factors)?;
         }
         let read = move |problem: &Problem| problem.get(key).as_slice().to_vec();
-        variables.cameras.push((camera, Box::new(read)));
+        variables.cameras.push((camera, key.into(), Box::new(read)));
         (camera, Box::new(key))
     });
+    variables.observations.extend(factors);
     Ok(Some(key))
+}
+
+/// What is refined of a camera. The images of a local adjustment determine the intrinsics too weakly
+/// if the camera has other images.
+fn intrinsics_to_refine(
+    context: &TermContext,
+    options: &AdjustOptions,
+    camera: CameraId,
+    is_calibrated: bool,
+) -> RefineIntrinsics {
+    let model = context.model;
+    let mut all = model.registered().filter(|(_, image, _)| image.camera == camera);
+    let has_all_images = all.all(|(id, ..)| context.scope.is_variable(id));
+    match options.refine_calibrated {
+        _ if model.calibrated.contains(&camera) || !has_all_images => RefineIntrinsics::NONE,
+        Some(refine) if is_calibrated => refine,
+        _ => options.refine,
+    }
 }
 
 /// The observations of an image.
 struct ImageObservations<'a> {
+    image: ImageId,
     keypoints: &'a [Keypoint],
     observed: &'a [(u32, Key<Vector3<f64>>)],
     pose: Pose,
@@ -247,36 +260,34 @@ struct ImageObservations<'a> {
 }
 
 impl ImageObservations<'_> {
-    /// Adds a reprojection factor for each observed point.
+    /// Adds a reprojection factor for each observed point, and lists it in `factors`.
     fn add<M: CameraModel>(
         &self,
         problem: &mut Problem,
         params: Key<M::Params>,
         loss: Loss,
+        factors: &mut Vec<ObservationFactor>,
     ) -> Result<(), Error> {
         for &(index, point) in self.observed {
-            let index = index as usize;
-            let keypoint = &self.keypoints[index];
+            let keypoint = &self.keypoints[index as usize];
             let (pixel, sigma_px) = (keypoint.pixel, keypoint_sigma_px(keypoint.scale_px));
-            match (self.pose, self.shifts) {
+            let factor = match (self.pose, self.shifts) {
                 (Pose::Variable(pose), Some((shift_scale, shifts))) => {
-                    let Shifted { pixel, shift } = shifts[index];
+                    let Shifted { pixel, shift } = shifts[index as usize];
                     let unshifted = Reprojection::<M>::new(pixel, sigma_px);
                     let factor = ShiftedReprojection { unshifted, shift };
-                    problem.add((params, pose, shift_scale, point), factor, loss)?;
+                    problem.add((params, pose, shift_scale, point), factor, loss)?
                 }
                 (Pose::Variable(pose), None) => {
-                    problem.add(
-                        (params, pose, point),
-                        Reprojection::<M>::new(pixel, sigma_px),
-                        loss,
-                    )?;
+                    let factor = Reprojection::<M>::new(pixel, sigma_px);
+                    problem.add((params, pose, point), factor, loss)?
                 }
                 (Pose::Composed(ComposedPose { cam_from_rig, rig_from_world }), _) => {
                     let factor = RigReprojection::<M>::new(pixel, sigma_px);
-                    problem.add((params, cam_from_rig, rig_from_world, point), factor, loss)?;
+                    problem.add((params, cam_from_rig, rig_from_world, point), factor, loss)?
                 }
-            }
+            };
+            factors.push(ObservationFactor { factor, image: self.image, keypoint: index });
         }
         Ok(())
     }

@@ -1,6 +1,6 @@
 use std::collections::BTreeMap;
 
-use tiepoint_ba::{Key, Problem};
+use tiepoint_ba::{AnyKey, FactorKey, Key, Problem};
 use tiepoint_geometry::Rigid3;
 use tiepoint_geometry::nalgebra::Vector3;
 use tiepoint_scene::{CameraId, ImageId, PointId, Reconstruction};
@@ -8,12 +8,22 @@ use tiepoint_scene::{CameraId, ImageId, PointId, Reconstruction};
 /// A least-squares problem, with the keys of its variables.
 pub struct Variables {
     problem: Problem,
-    pub(crate) cameras: Vec<(CameraId, ReadCamera)>,
+    pub(crate) cameras: Vec<(CameraId, AnyKey, ReadCamera)>,
     pub(crate) poses: Vec<(ImageId, Key<Rigid3>)>,
     pub(crate) composed: Vec<(ImageId, ComposedPose)>,
     /// Poses of frames without a pose variable of an image, and whether they are constant.
     pub(crate) rig_poses: Vec<(Key<Rigid3>, bool)>,
     pub(crate) points: Vec<(PointId, Key<Vector3<f64>>)>,
+    /// In the order of their factors.
+    pub(crate) observations: Vec<ObservationFactor>,
+}
+
+/// A reprojection error.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct ObservationFactor {
+    pub(crate) factor: FactorKey,
+    pub(crate) image: ImageId,
+    pub(crate) keypoint: u32,
 }
 
 /// The pose of an image as a product of two variables, `cam_from_rig` · `rig_from_world`.
@@ -38,6 +48,7 @@ impl Variables {
             composed: Vec::new(),
             rig_poses: Vec::new(),
             points: Vec::new(),
+            observations: Vec::new(),
         }
     }
 
@@ -60,6 +71,11 @@ impl Variables {
     /// of the model's frames first, then those of each term in turn.
     pub fn composed_poses(&self) -> &[(ImageId, ComposedPose)] {
         &self.composed
+    }
+
+    /// The cameras that take part, with the keys of their intrinsics.
+    pub fn intrinsics(&self) -> impl Iterator<Item = (CameraId, AnyKey)> {
+        self.cameras.iter().map(|(camera, key, _)| (*camera, *key))
     }
 
     /// The points that take part, in order of their ids: neither held-out ones nor, with
@@ -93,7 +109,7 @@ impl Variables {
 
     /// Copies the solution to the model.
     pub(crate) fn write_back(&self, model: &mut Reconstruction) {
-        for (camera, read) in &self.cameras {
+        for (camera, _, read) in &self.cameras {
             model.camera_mut(*camera).intrinsics.params_mut().copy_from_slice(&read(&self.problem));
         }
         for &(image, key) in &self.poses {

@@ -22,13 +22,13 @@ use crate::variable::{AnyKey, Role};
 /// double.
 const MAX_INFLATION: f64 = 1e13;
 
-/// Joint covariance of some variables, in tangent coordinates. It is valid if the residuals have
-/// unit variance and losses are close to trivial.
+/// Joint covariance of some variables, in tangent coordinates.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Covariance {
-    keys: Vec<AnyKey>,
-    first: Vec<usize>,
-    matrix: DMatrix<f64>,
+    pub(crate) keys: Vec<AnyKey>,
+    /// First direction of each, and the number of all.
+    pub(crate) first: Vec<usize>,
+    pub(crate) matrix: DMatrix<f64>,
 }
 
 impl Covariance {
@@ -56,26 +56,47 @@ impl Covariance {
 
 impl Problem {
     /// The covariance of some variables at the current values. Fixed directions have zero rows and
-    /// columns.
+    /// columns. It is that of independent residuals of unit variance;
+    /// [`Problem::clustered_covariance`] is that of correlated ones.
     ///
     /// # Errors
     /// [`Error::UnknownVariable`] for a key that the problem does not have, [`Error::Undetermined`]
     /// if the factors do not determine a variable, [`Error::NotFinite`] if a factor is not finite,
     /// and the errors of [`Solver::new`](crate::Solver::new) about the structure.
     pub fn covariance(&self, keys: &[AnyKey]) -> Result<Covariance, Error> {
+        Ok(InverseColumns::new(self, keys)?.covariance)
+    }
+}
+
+/// The columns of H⁻¹ = (JᵀJ)⁻¹ that belong to requested directions.
+pub(crate) struct InverseColumns {
+    pub(crate) system: SchurSystem,
+    /// Their rows of kept variables: one row for each column of the reduced system.
+    pub(crate) kept: DMatrix<f64>,
+    /// Their rows of the requested variables.
+    pub(crate) covariance: Covariance,
+}
+
+impl InverseColumns {
+    pub(crate) fn new(problem: &Problem, keys: &[AnyKey]) -> Result<Self, Error> {
         let mut first = vec![0];
         for key in keys {
-            let (store, _) = self.locate(key)?;
-            first.push(first[first.len() - 1] + self.values.stores[store].dof());
+            let (store, _) = problem.locate(key)?;
+            first.push(first[first.len() - 1] + problem.values.stores[store].dof());
         }
-        let mut system = SchurSystem::new(self, LinearSolver::Auto, 0)?;
-        let linearised = system.linearize(self, &self.values, 0.0, &mut Times::default());
-        linearised.check_finite(self)?;
+        let mut system = SchurSystem::new(problem, LinearSolver::Auto, 0)?;
+        let linearised = system.linearize(problem, &problem.values, 0.0, &mut Times::default());
+        linearised.check_finite(problem)?;
         let columns = system.structure.columns;
         let undetermined =
             |key: &AnyKey| Error::Undetermined { variable: key.type_name, slot: key.slot };
         let Some(first_key) = keys.first() else {
-            return Ok(Covariance { keys: Vec::new(), first, matrix: DMatrix::zeros(0, 0) });
+            let (kept, matrix) = (DMatrix::zeros(columns, 0), DMatrix::zeros(0, 0));
+            return Ok(Self {
+                system,
+                kept,
+                covariance: Covariance { keys: Vec::new(), first, matrix },
+            });
         };
         // The whole system has to be solvable, whichever variable is undetermined.
         let eliminated_system =
@@ -83,19 +104,19 @@ impl Problem {
         system.reduced.factorise(eliminated_system).map_err(|_| undetermined(first_key))?;
         let mut terms = CovarianceTerms::new(columns, first[keys.len()]);
         for (key, &at) in keys.iter().zip(&first) {
-            let (store, slot) = self.locate(key)?;
-            let meta = self.metas[store][slot];
+            let (store, slot) = problem.locate(key)?;
+            let meta = problem.metas[store][slot];
             let is_determined = if meta.role == Role::Eliminated && meta.free != 0 {
                 terms.add_eliminated(&system, (store, slot), meta.free, at)
             } else {
-                terms.add_kept(&system, (store, slot), self.values.stores[store].dof(), at)
+                terms.add_kept(&system, (store, slot), problem.values.stores[store].dof(), at)
             };
             is_determined.ok_or_else(|| undetermined(key))?;
         }
         let CovarianceTerms { a, conditional, information } = terms;
-        let mut x = a.clone();
-        system.reduced.solve_columns(eliminated_system, x.as_mut_slice());
-        let matrix = a.transpose() * x + conditional;
+        let mut kept = a.clone();
+        system.reduced.solve_columns(eliminated_system, kept.as_mut_slice());
+        let matrix = a.transpose() * &kept + conditional;
         for (key, ends) in keys.iter().zip(first.windows(2)) {
             // NaN is not a variance either.
             let determined = |i: usize| matrix[(i, i)] * information[i] < MAX_INFLATION;
@@ -103,7 +124,7 @@ impl Problem {
                 return Err(undetermined(key));
             }
         }
-        Ok(Covariance { keys: keys.to_vec(), first, matrix })
+        Ok(Self { system, kept, covariance: Covariance { keys: keys.to_vec(), first, matrix } })
     }
 }
 

@@ -1,6 +1,7 @@
 #![doc = include_str!("../README.md")]
 
 pub mod autodiff;
+mod clustered_covariance;
 mod covariance;
 mod damping;
 mod eliminate;
@@ -25,12 +26,13 @@ mod summary;
 pub mod testing;
 mod variable;
 
+pub use clustered_covariance::ClusteredCovariance;
 pub use covariance::Covariance;
 pub use error::Error;
 pub use factor::Factor;
 pub use nalgebra;
 pub use options::{LinearSolver, Options};
-pub use problem::{Cost, Problem};
+pub use problem::{Cost, FactorKey, Problem};
 pub use solver::Solver;
 pub use spanning_tree::SpanningTree;
 pub use summary::{IterationRecord, Summary, Termination, Times};

@@ -27,6 +27,15 @@ pub struct Problem {
     pub(crate) retraction: Option<Box<dyn Retraction>>,
 }
 
+/// Key of a factor in the [`Problem`] that [`Problem::add`] added it to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct FactorKey {
+    /// Index of its type, in the order of their first factors.
+    pub(crate) group: u32,
+    /// Index among the factors of this type.
+    pub(crate) index: u32,
+}
+
 /// Cost of all factors at the current values.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Cost {
@@ -74,7 +83,8 @@ impl Problem {
         Key::new(slot)
     }
 
-    /// Adds a factor between the variables `keys`. Its cost is ½ ρ(|r|²) with the loss ρ.
+    /// Adds a factor between the variables `keys`. Its cost is ½ ρ(|r|²) with the loss ρ. Returns
+    /// its key.
     ///
     /// # Errors
     /// [`Error::LossScale`] if the loss has no positive scale, [`Error::UnknownKey`] if the problem
@@ -84,15 +94,15 @@ impl Problem {
         keys: impl IntoKeys<F::Vars>,
         factor: F,
         loss: Loss,
-    ) -> Result<(), Error> {
+    ) -> Result<FactorKey, Error> {
         check_loss::<F>(&loss)?;
         let slots = F::Vars::slots(keys.into_keys());
-        let group = match self
+        let group_index = match self
             .factor_groups
             .iter()
             .position(|group| group.as_any().is::<FactorGroup<F, R>>())
         {
-            Some(group) => group,
+            Some(index) => index,
             None => {
                 let mut stores = Vec::with_capacity(F::Vars::COUNT);
                 for (position, store) in
@@ -107,14 +117,15 @@ impl Problem {
                 self.factor_groups.len() - 1
             }
         };
-        let group = self.factor_groups[group]
+        let group = self.factor_groups[group_index]
             .as_any_mut()
             .downcast_mut::<FactorGroup<F, R>>()
             .expect("found by its type");
         check_slots::<F>(&self.metas, group.stores(), slots.as_ref())?;
+        let key = FactorKey { group: group_index as u32, index: group.len() as u32 };
         group.push(slots, factor, loss);
         self.revision += 1;
-        Ok(())
+        Ok(key)
     }
 
     /// Sets the retraction that all following solves use.

@@ -1,4 +1,4 @@
-//! Lenses: a distorted lens of an action camera, and the ideal pinhole.
+//! Lenses: a distorted lens of an action camera, the ideal pinhole, and what a lens model leaves.
 //!
 //! The action lens has a radial profile with even and odd powers of the angle θ from the optical
 //! axis (as the lens maps that GoPro publishes), then decentring distortion (Brown 1966) on the
@@ -13,6 +13,7 @@
 
 use tiepoint_geometry::nalgebra::{Matrix2, SMatrix, SVector, Vector2, Vector3};
 use tiepoint_geometry::{CameraModelKind, Intrinsics, Rng};
+use tiepoint_scene::{ImageId, Reconstruction};
 
 /// Step at which the Newton iterations end (in radians, or units of the fisheye plane), and the
 /// most iterations.
@@ -233,6 +234,71 @@ impl Lens {
         params.extend(distortion.iter());
         Intrinsics::new(CameraModelKind::ThinPrismFisheye, &params)
             .expect("a lens has a finite, positive focal length")
+    }
+}
+
+/// A smooth displacement of the keypoints of a camera, the same in all images: what no camera model
+/// describes and a calibration leaves. It is a sum of cosines of the second to the fourth order
+/// along the axes of the image, with random amplitudes.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LensField {
+    size_px: Vector2<f64>,
+    /// Order along each axis, and amplitude in pixels.
+    waves: Vec<([usize; 2], Vector2<f64>)>,
+}
+
+/// Orders of the waves of a lens field. Those below are a shift, a rotation or a change of scale.
+const MIN_ORDER: usize = 2;
+const MAX_ORDER: usize = 4;
+
+impl LensField {
+    /// A random field for an image size, in pixels. Its expected root mean square over the image is
+    /// `rms_px` along each axis.
+    pub fn sample(width: u32, height: u32, rms_px: f64, rng: &mut Rng) -> Self {
+        let orders = (0..=MAX_ORDER)
+            .flat_map(|i| (0..=MAX_ORDER - i).map(move |j| [i, j]))
+            .filter(|[i, j]| i + j >= MIN_ORDER);
+        let orders: Vec<[usize; 2]> = orders.collect();
+        let count = orders.len() as f64;
+        let waves = orders.into_iter().map(|[i, j]| {
+            // The mean square of a cosine, or of a product of two.
+            let mean_square = if i * j == 0 { 0.5 } else { 0.25 };
+            let scale = rms_px / (mean_square * count).sqrt();
+            ([i, j], Vector2::new(rng.normal(), rng.normal()) * scale)
+        });
+        let waves = waves.collect();
+        Self { size_px: Vector2::new(f64::from(width), f64::from(height)), waves }
+    }
+
+    /// The displacement at a pixel, in pixels.
+    pub fn at(&self, pixel: &Vector2<f64>) -> Vector2<f64> {
+        let phase = pixel.component_div(&self.size_px) * std::f64::consts::PI;
+        let wave = |&([i, j], amplitude): &([usize; 2], Vector2<f64>)| {
+            amplitude * (i as f64 * phase.x).cos() * (j as f64 * phase.y).cos()
+        };
+        self.waves.iter().map(wave).sum()
+    }
+
+    /// Moves the keypoints of a model by a random field for each camera.
+    pub fn add(model: &mut Reconstruction, rms_px: f64, seed: u64) {
+        let fields: Vec<Self> = model
+            .cameras()
+            .map(|(id, camera)| {
+                let mut rng = Rng::stream(seed, &[34, id.index() as u64]);
+                Self::sample(camera.width, camera.height, rms_px, &mut rng)
+            })
+            .collect();
+        let moved: Vec<(ImageId, Vec<Vector2<f64>>)> = model
+            .images()
+            .map(|(id, image)| {
+                let field = &fields[image.camera.index()];
+                let pixels = image.keypoints.iter().map(|keypoint| keypoint.pixel);
+                (id, pixels.map(|pixel| pixel + field.at(&pixel)).collect())
+            })
+            .collect();
+        for (id, pixels) in moved {
+            model.move_keypoints(id, &pixels);
+        }
     }
 }
 

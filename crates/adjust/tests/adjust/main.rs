@@ -1,8 +1,10 @@
 //! The crate's tests, in one program.
 
-#![allow(clippy::unwrap_used)] // the lint knows test functions, not their helpers
+// The lints know test functions, not their helpers.
+#![allow(clippy::unwrap_used, clippy::print_stderr)]
 
 mod common;
+mod covariance;
 mod gauge;
 mod lens;
 mod options;

@@ -130,7 +130,9 @@ impl Bal {
             let (pose, intrinsics) = cameras[*camera];
             let (keys, factor) = ((pose, intrinsics, points[*point]), Snavely { pixel: *pixel });
             match derivatives {
-                Derivatives::ByHand => problem.add(keys, factor, Loss::Trivial)?,
+                Derivatives::ByHand => {
+                    problem.add(keys, factor, Loss::Trivial)?;
+                }
                 Derivatives::ByDualNumbers => {
                     problem.add(keys, AutoDiff(SnavelyResidual(factor)), Loss::Trivial)?;
                 }

@@ -5,6 +5,7 @@
 
 mod bad_input;
 mod bal;
+mod clustered_covariance;
 mod convergence;
 mod covariance;
 #[path = "../../examples/bal/file.rs"]

@@ -48,9 +48,10 @@ pub struct RigCamera {
     pub constraint: ConstraintKind,
     /// Its clock relative to the reference camera's.
     pub clock: RigClock,
-    /// Joint covariance, 8 x 8, of rotation (radians, R ← Exp(δ) R), translation (units of the
-    /// model), offset (seconds) and skew, in this order. Rows of fixed parameters are zero; `None`
-    /// where the images do not determine it. It is conditional on the scale of the model.
+    /// Joint cluster-robust covariance, 8 x 8, of rotation (radians, R ← Exp(δ) R), translation
+    /// (units of the model), offset (seconds) and skew, in this order. Rows of fixed parameters are
+    /// zero; `None` where the images do not determine it. It is conditional on the scale of the
+    /// model.
     pub covariance: Option<Vec<Vec<f64>>>,
     /// Largest standard deviation of the rotation about any axis, in degrees.
     pub rotation_sd_deg: Option<f64>,

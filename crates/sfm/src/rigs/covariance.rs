@@ -1,6 +1,6 @@
 //! Covariance of the rig extrinsics and clocks.
 
-use tiepoint_adjust::{AdjustOptions, Scope, Term, build_problem, noise_of_fit};
+use tiepoint_adjust::{AdjustOptions, FitNoise, Scope, Term, build_problem, covariance_of_fit};
 use tiepoint_ba::{AnyKey, Key};
 use tiepoint_geometry::{Rigid3, so3};
 use tiepoint_rig::Clock;
@@ -13,9 +13,10 @@ use crate::terms::with_terms;
 use crate::tracks::without_points_at_infinity;
 
 /// Returns the covariance of each camera's extrinsics and clock; `None` if the information matrix
-/// is singular. Entries of constant parameters are zero. The noise of the keypoints is estimated
-/// from the residuals under the loss. The standard deviations of the soft constraint are increased
-/// by the autocorrelation of its residuals.
+/// is singular. Entries of constant parameters are zero. The residuals of keypoints may be
+/// correlated ([`covariance_of_fit`]). Those of a soft constraint are too small to state the
+/// uncertainty of the mount, so their standard deviations count, increased by the autocorrelation
+/// of the residuals.
 pub(super) fn extrinsics_covariances(
     model: &Reconstruction,
     options: &AdjustOptions,
@@ -23,24 +24,23 @@ pub(super) fn extrinsics_covariances(
     terms: &mut [&mut dyn Term],
 ) -> Result<Vec<Option<ExtrinsicsCovariance>>, Error> {
     let model = &without_points_at_infinity(model);
-    let noise = noise_of_fit(model, &options.loss);
-    let options = &AdjustOptions { noise, select_tracks: false, ..*options };
+    let noise = FitNoise::of(model, &options.loss);
+    let options = &AdjustOptions { noise: noise.sigma, select_tracks: false, ..*options };
     let mut scaled: Vec<RigExtrinsics> = all_extrinsics
         .iter()
-        .map(|extrinsics| extrinsics.with_autocorrelation(model).scaled(1.0 / noise))
+        .map(|extrinsics| extrinsics.with_autocorrelation(model).scaled(1.0 / noise.sigma))
         .collect();
     let mut term = ExtrinsicsTerm::new(&mut scaled);
     let terms = &mut with_terms(&mut term, terms);
     let variables = build_problem(model, &Scope::Global, options, terms)?;
-    let problem = variables.problem();
     let of = |(extrinsics, clock): &(Key<Rigid3>, Option<Key<Clock>>)| {
         let mut keys: Vec<AnyKey> = vec![(*extrinsics).into()];
         keys.extend(clock.map(AnyKey::from));
-        let found = problem.covariance(&keys).ok()?;
-        let size = found.matrix().nrows();
+        let found = covariance_of_fit(model, &variables, &noise, &keys).ok()?;
+        let size = found.nrows();
         let mut of_tangent = ExtrinsicsCovariance::zeros();
-        of_tangent.view_mut((0, 0), (size, size)).copy_from(&(found.matrix() * (noise * noise)));
-        let jacobian = parameters_by_tangent(&problem.get(*extrinsics));
+        of_tangent.view_mut((0, 0), (size, size)).copy_from(&found);
+        let jacobian = parameters_by_tangent(&variables.problem().get(*extrinsics));
         Some(jacobian * of_tangent * jacobian.transpose())
     };
     Ok(term.keys.iter().map(of).collect())

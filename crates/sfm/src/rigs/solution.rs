@@ -32,9 +32,9 @@ pub struct CalibratedCamera {
     pub sensor_pair: SensorPair,
     /// Extrinsics, in units of the model.
     pub cam_from_rig: Rigid3,
-    /// Covariance of extrinsics and clock; `None` if something is not determined. Along
-    /// [`SensorPair::unobservable_direction`] the centre has the prior's mean, zero, and a standard
-    /// deviation of one assumed baseline.
+    /// Cluster-robust covariance of extrinsics and clock; `None` if something is not determined.
+    /// Along [`SensorPair::unobservable_direction`] the centre has the prior's mean, zero, and a
+    /// standard deviation of one assumed baseline.
     pub covariance: Option<ExtrinsicsCovariance>,
     /// The constraint.
     pub constraint: RigConstraint,

@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 
 use tiepoint_adjust::{
-    AdjustOptions, Error, Scope, Shifted, Term, TermContext, Variables, adjust, build_problem,
-    keep_going, noise_of_fit,
+    AdjustOptions, Error, FitNoise, Scope, Shifted, Term, TermContext, Variables, adjust,
+    build_problem, covariance_of_fit, keep_going,
 };
 use tiepoint_ba::factors::Prior;
 use tiepoint_ba::{AnyKey, EliminationOrder, Key, Problem};
@@ -97,14 +97,14 @@ pub(super) fn with_standard_deviations(
     mut shutters: ShutterTerm,
     terms: &mut [&mut dyn Term],
 ) -> Result<Vec<RollingShutter>, Error> {
-    let noise = noise_of_fit(model, &options.loss);
-    let options = &AdjustOptions { noise, ..*options };
+    let noise = FitNoise::of(model, &options.loss);
+    let options = &AdjustOptions { noise: noise.sigma, ..*options };
     let near = without_points_at_infinity(model);
     let terms = &mut with_terms(&mut shutters, terms);
     let variables = build_problem(&near, &Scope::Global, options, terms)?;
     let sd_s = |camera: CameraId| {
         let keys: [AnyKey; 1] = [(*shutters.keys.get(&camera)?).into()];
-        Some(variables.problem().covariance(&keys).ok()?.matrix()[(0, 0)].sqrt() * noise)
+        Some(covariance_of_fit(&near, &variables, &noise, &keys).ok()?[(0, 0)].sqrt())
     };
     let found = |shutter: &RollingShutter| RollingShutter {
         readout_sd_s: Some(sd_s(shutter.camera).unwrap_or(f64::INFINITY)),

@@ -10,6 +10,7 @@ use tiepoint_sfm::adjust::RefineIntrinsics;
 use tiepoint_sfm::rigs::{CalibratedCamera, ClockState, RigConstraint, sensor_pairs};
 use tiepoint_sfm::{MappedModel, Mapper, MapperOptions, RigMode};
 use tiepoint_synth::effects::ClockEffects;
+use tiepoint_synth::lens::LensField;
 use tiepoint_synth::{Drive, DriveOptions, Effects, FeatureOptions, FeatureScene, MatchOptions};
 
 use crate::common::sample;
@@ -34,7 +35,7 @@ struct Run {
 }
 
 /// A quarter of a block with a stop and a turn, at 5 images a second.
-fn run(seed: u64, clocks: ClockEffects, rig: RigMode) -> Run {
+fn run(seed: u64, clocks: ClockEffects, rig: RigMode, lens_field_px: f64) -> Run {
     let effects = Effects { clocks, ..Effects::default() };
     let options = DriveOptions { seed, rate_hz: 5.0, effects, ..DriveOptions::default() };
     let mut drive = Drive::new(&options).expect("a street of 200 m");
@@ -43,9 +44,11 @@ fn run(seed: u64, clocks: ClockEffects, rig: RigMode) -> Run {
     let scene = FeatureScene::new(&drive, &features).expect("sound options");
     let matching = MatchOptions { window: Some(6), ..MatchOptions::default() };
     let graph = scene.graph(&matching);
+    let mut features = scene.without_poses();
+    LensField::add(&mut features, lens_field_px, seed);
     let mapper =
         MapperOptions { refine: RefineIntrinsics::NONE, rig, seed, ..MapperOptions::default() };
-    let models = Mapper::new(&graph, &scene.without_poses()).run(&mapper);
+    let models = Mapper::new(&graph, &features).run(&mapper);
     let MappedModel { reconstruction: model, rig, .. } =
         models.expect("the scene is easy").remove(0);
     let camera = rig.and_then(|rig| rig.cameras.into_iter().next());
@@ -101,7 +104,7 @@ const NORMALISED_OF_18: Range<f64> = 0.348..2.06;
 fn clocks_and_extrinsics_are_estimated_with_consistent_uncertainty() {
     let (mut sum, mut count) = (0.0, 0);
     for &seed in sample(&[1, 2, 3]) {
-        let run = run(seed, CLOCKS, RigMode::Auto);
+        let run = run(seed, CLOCKS, RigMode::Auto, 0.0);
         let camera = run.camera.as_ref().expect("the right camera was calibrated");
         assert_eq!(camera.sensor_pair.clock_state, ClockState::Estimated);
         assert!(
@@ -131,6 +134,44 @@ fn clocks_and_extrinsics_are_estimated_with_consistent_uncertainty() {
     assert!(chance.contains(&normalised), "{normalised}");
 }
 
+/// Root mean squares of a lens field, in pixels: what a calibration leaves (0.1 to 0.2 px on
+/// KITTI).
+const LENS_FIELDS_PX: [f64; 2] = [0.2, 0.1];
+/// Root mean square of the normalised errors over all seeds; and of one seed, whose five numbers
+/// have a mean square in 0.08 to 3.3 with 99 % probability (χ²).
+const NORMALISED_RMS: Range<f64> = 0.7..1.4;
+const NORMALISED_RMS_OF_5: Range<f64> = 0.29..1.83;
+
+/// Deviations hold although the errors of all images are the same function of the pixel. For
+/// independent residuals they would be too small by a factor of three to eight.
+#[test]
+fn deviations_hold_with_a_lens_field() {
+    for &lens_field_px in sample(&LENS_FIELDS_PX) {
+        for (name, clocks) in [("clocks", CLOCKS), ("synchronised", ClockEffects::default())] {
+            let seeds = sample(&[1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16]);
+            let mut squares = [0.0; 8];
+            for &seed in seeds {
+                let (error, sd) = errors(&run(seed, clocks, RigMode::Auto, lens_field_px));
+                for (square, (error, sd)) in squares.iter_mut().zip(error.iter().zip(sd)) {
+                    *square += (error / sd).powi(2) / seeds.len() as f64;
+                }
+            }
+            let each = squares.map(f64::sqrt);
+            // Without the length and the drift, as above.
+            let extrinsics = ([0, 1, 2, 4, 5].map(|k| squares[k]).iter().sum::<f64>() / 5.0).sqrt();
+            eprintln!(
+                "{name}, lens field {lens_field_px} px: normalised rms {extrinsics:.2} of the \
+                extrinsics, each {each:.2?}"
+            );
+            let allowed = if seeds.len() == 1 { NORMALISED_RMS_OF_5 } else { NORMALISED_RMS };
+            assert!(allowed.contains(&extrinsics), "{extrinsics}");
+            if clocks == CLOCKS && seeds.len() > 1 {
+                assert!(allowed.contains(&each[6]), "{}", each[6]);
+            }
+        }
+    }
+}
+
 /// Lower tolerance of the jitter estimated from some 90 time stamps by the median of their second
 /// differences, relative to the truth.
 const MIN_RELATIVE_JITTER: f64 = 0.8;
@@ -142,7 +183,7 @@ const MAX_DEVIATIONS: f64 = 4.0;
 #[test]
 fn no_offset_is_more_precise_than_the_time_stamps() {
     let jitter_s = 0.002;
-    let run = run(1, ClockEffects { jitter_s, ..CLOCKS }, RigMode::Auto);
+    let run = run(1, ClockEffects { jitter_s, ..CLOCKS }, RigMode::Auto, 0.0);
     let camera = run.camera.as_ref().expect("the right camera was calibrated");
     let floor_s = 2f64.sqrt() * jitter_s / (camera.num_referenced_images as f64).sqrt();
     let (error, sd) = errors(&run);
@@ -152,7 +193,7 @@ fn no_offset_is_more_precise_than_the_time_stamps() {
 
 #[test]
 fn synchronised_cameras_become_rigid_frames() {
-    let run = run(2, ClockEffects::default(), RigMode::Rigid);
+    let run = run(2, ClockEffects::default(), RigMode::Rigid, 0.0);
     let camera = run.camera.as_ref().expect("the right camera was calibrated");
     assert_eq!(
         (camera.sensor_pair.clock_state, camera.sensor_pair.clock.offset_s, camera.constraint),

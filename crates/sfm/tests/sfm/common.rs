@@ -3,9 +3,9 @@
 use tiepoint_eval::{Alignment, Statistics, compare_poses};
 use tiepoint_scene::Reconstruction;
 
-/// The seeds of a test: the first of the grid, or all of them if the environment has
-/// `TIEPOINT_ALL_SEEDS`, which `bench/seeds.py` sets.
-pub(crate) fn sample(grid: &[u64]) -> &[u64] {
+/// The seeds of a test, or other cases: the first of the grid, or all of them if the environment
+/// has `TIEPOINT_ALL_SEEDS`, which `bench/seeds.py` sets.
+pub(crate) fn sample<T>(grid: &[T]) -> &[T] {
     if std::env::var_os("TIEPOINT_ALL_SEEDS").is_some() { grid } else { &grid[..1] }
 }
 
