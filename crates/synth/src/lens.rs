@@ -1,4 +1,4 @@
-//! Lenses: a distorted lens of an action camera, and the ideal pinhole.
+//! Lenses: a distorted lens of an action camera, the ideal pinhole, and both with a lens field.
 //!
 //! The action lens has a radial profile with even and odd powers of the angle θ from the optical
 //! axis (as the lens maps that GoPro publishes), then decentring distortion (Brown 1966) on the
@@ -13,6 +13,8 @@
 
 use tiepoint_geometry::nalgebra::{Matrix2, SMatrix, SVector, Vector2, Vector3};
 use tiepoint_geometry::{CameraModelKind, Intrinsics, Rng};
+
+use crate::lens_field::LensField;
 
 /// Step at which the Newton iterations end (in radians, or units of the fisheye plane), and the
 /// most iterations.
@@ -37,7 +39,7 @@ pub struct ActionLens {
 }
 
 /// A projection between rays and pixels.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub enum Lens {
     /// An ideal pinhole: pixel = f (x/z, y/z) + c.
     Pinhole {
@@ -48,6 +50,13 @@ pub enum Lens {
     },
     /// The lens of an action camera.
     Action(ActionLens),
+    /// A lens whose pixels a field displaces.
+    WithField {
+        /// The lens without the field.
+        lens: Box<Lens>,
+        /// The displacement at the pixels of that lens.
+        field: LensField,
+    },
 }
 
 impl ActionLens {
@@ -150,6 +159,12 @@ impl Lens {
         Self::Pinhole { focal_px, principal_point }
     }
 
+    /// The lens with a random field of `rms_px` over an image of `width` × `height` pixels.
+    pub fn with_field(self, rms_px: f64, width: u32, height: u32, rng: &mut Rng) -> Self {
+        let field = LensField::sample(rms_px, width, height, rng);
+        Self::WithField { lens: Box::new(self), field }
+    }
+
     /// Projects a point in the camera frame; `None` if the lens does not image it. The pixel may
     /// lie outside of the image.
     pub fn project(&self, point_in_cam: &Vector3<f64>) -> Option<Vector2<f64>> {
@@ -157,6 +172,9 @@ impl Lens {
             Self::Pinhole { focal_px, principal_point } => (point_in_cam.z > 1e-9)
                 .then(|| point_in_cam.xy() * (focal_px / point_in_cam.z) + principal_point),
             Self::Action(lens) => lens.project(point_in_cam),
+            Self::WithField { lens, field } => {
+                lens.project(point_in_cam).map(|pixel| pixel + field.at(&pixel))
+            }
         }
     }
 
@@ -167,6 +185,7 @@ impl Lens {
                 Some(((pixel - principal_point) / *focal_px).push(1.0).normalize())
             }
             Self::Action(lens) => lens.unproject(pixel),
+            Self::WithField { lens, field } => lens.unproject(&field.undo(pixel)?),
         }
     }
 
@@ -175,6 +194,7 @@ impl Lens {
         match self {
             Self::Pinhole { focal_px, .. } => *focal_px,
             Self::Action(lens) => lens.focal_px,
+            Self::WithField { lens, .. } => lens.focal_px(),
         }
     }
 
@@ -183,11 +203,12 @@ impl Lens {
         match self {
             Self::Pinhole { principal_point, .. } => *principal_point,
             Self::Action(lens) => lens.principal_point,
+            Self::WithField { lens, .. } => lens.principal_point(),
         }
     }
 
     /// PINHOLE intrinsics with the same focal length and principal point: exact for a pinhole,
-    /// correct only at the axis for the action lens.
+    /// correct only at the axis for the action lens, without the field.
     pub fn paraxial_intrinsics(&self) -> Intrinsics {
         let (focal, centre) = (self.focal_px(), self.principal_point());
         Intrinsics::new(CameraModelKind::Pinhole, &[focal, focal, centre.x, centre.y])
@@ -197,9 +218,12 @@ impl Lens {
     /// The nearest intrinsics that COLMAP has, for images of a size in pixels: those of the pinhole
     /// are exact; for the action lens the distortion of THIN_PRISM_FISHEYE with the same focal
     /// length and principal point, which differs least in squared pixels on a grid over the image.
+    /// The field is left out.
     pub fn nearest_intrinsics(&self, width: u32, height: u32) -> Intrinsics {
-        if matches!(self, Self::Pinhole { .. }) {
-            return self.paraxial_intrinsics();
+        match self {
+            Self::Pinhole { .. } => return self.paraxial_intrinsics(),
+            Self::WithField { lens, .. } => return lens.nearest_intrinsics(width, height),
+            Self::Action(_) => {}
         }
         let (f, c) = (self.focal_px(), self.principal_point());
         let at = |index: usize, size: u32| (index as f64 + 0.5) / GRID as f64 * f64::from(size);
@@ -249,12 +273,16 @@ mod tests {
     const RAY_TOLERANCE: f64 = 1e-12;
 
     fn lenses() -> impl Strategy<Value = Lens> {
-        prop_oneof![
+        let without = prop_oneof![
             (300.0..2000.0f64).prop_map(|focal| Lens::pinhole(focal, SIZE.0, SIZE.1)),
             (0u64..1000).prop_map(|seed| {
                 Lens::Action(ActionLens::sample(SIZE.0, SIZE.1, &mut Rng::stream(seed, &[])))
             }),
-        ]
+        ];
+        (without, prop::option::of(0u64..1000)).prop_map(|(lens, field)| match field {
+            None => lens,
+            Some(seed) => lens.with_field(0.15, SIZE.0, SIZE.1, &mut Rng::stream(seed, &[])),
+        })
     }
 
     proptest! {
