@@ -8,8 +8,8 @@
 
 Sets, each of a source:
   kitti01@0 ... kitti04@20  frames 0-30, 10-40 and 20-50 of a clip of 51 frames (they overlap)
-  fountain-P11-2+7 ...      the photos without two; 10 pairs of fountain-P11, 8 of Herz-Jesus-P8
-  street-1 ... highway-3    rendered drives of five kinds (street, loop, handheld, drone, highway) of
+  fountain-P11-0+3 ...      the photos without two; 10 pairs of fountain-P11, 8 of Herz-Jesus-P8
+  street-1 ... highway-3    rendered drives of five kinds (street, loop, handheld, drone, highway),
                             two cameras with a lens field, misalignment, exposure, noise and JPEG
 Modes, each with --rig off and auto (photos: off):
   frozen            --intrinsics K --refine none
@@ -407,7 +407,9 @@ def print_table(head, rows):
 def table(runs):
     """Geometric means of the error of each source or kind, and ratios to the better of frozen and
     free with the same rig."""
+    order = ["clips", "photos", *KINDS]
     about = {key.split("|")[0]: run for key, run in runs.items()}
+    about = dict(sorted(about.items(), key=lambda item: order.index(item[1]["kind"])))
     place = {
         n: r["source"] if r["kind"] in ("clips", "photos") else r["kind"] for n, r in about.items()
     }
