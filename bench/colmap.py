@@ -186,8 +186,11 @@ def run_colmap(work, images, known, pairs, threads, seed):
     return seconds
 
 
-def map_database(database, images, sparse, known, threads, seed, principal_point=False):
+def map_database(
+    database, images, sparse, known, threads, seed, principal_point=False, initial_angle_deg=16.0
+):
     mapping = pycolmap.IncrementalPipelineOptions()
+    mapping.mapper.init_min_tri_angle = initial_angle_deg
     mapping.num_threads, mapping.random_seed = threads, seed
     mapping.ba_refine_principal_point = principal_point
     if known:

@@ -368,6 +368,7 @@ def synth(
     seed: Optional[Value] = None,
     rate: Optional[Value] = None,
     route: Optional[Value] = None,
+    carrier: Optional[Value] = None,
     length: Optional[Value] = None,
     view_direction: Optional[Value] = None,
     effects: Optional[Value] = None,

@@ -20,6 +20,7 @@ use tiepoint_pipeline::sfm::geometry::{CameraModelKind, Intrinsics};
 use tiepoint_pipeline::sfm::matching::PairSelection;
 use tiepoint_pipeline::sfm::rolling_shutter::Readout;
 use tiepoint_pipeline::stages::MapOptions;
+use tiepoint_synth::trajectory::Carrier;
 use tiepoint_synth::{Effects, RouteKind, ViewDirection};
 
 pub(crate) use values::{CropBox, ImageSize, Metres, Quantiles, Refine, threads};
@@ -720,7 +721,8 @@ pub(crate) struct Synth {
     /// Images per second of each camera.
     #[arg(long, value_name = "HZ", default_value_t = 10.0)]
     pub(crate) rate: f64,
-    /// Route: loop (around a block, back to the start and a little further) or open (one way).
+    /// Route: loop (around a block, back to the start and a little further), open (one way) or
+    /// highway (straight at 24 to 30 m/s, with little beside it).
     #[arg(
         long,
         value_name = "ROUTE",
@@ -729,6 +731,16 @@ pub(crate) struct Synth {
         hide_possible_values = true
     )]
     pub(crate) route: RouteKind,
+    /// What carries the cameras: car, handheld (at walking pace on the pavement) or drone (above
+    /// the roofs, looking obliquely down).
+    #[arg(
+        long,
+        value_name = "CARRIER",
+        default_value = "car",
+        value_parser = one_of(&Carrier::ALL, Carrier::name),
+        hide_possible_values = true
+    )]
+    pub(crate) carrier: Carrier,
     /// Length of the street, in metres.
     #[arg(long, value_name = "M", default_value_t = 200.0)]
     pub(crate) length: f64,
@@ -743,7 +755,8 @@ pub(crate) struct Synth {
     )]
     pub(crate) view_direction: ViewDirection,
     /// Imperfections to simulate: none, all, or a list joined by + of lens, rolling-shutter,
-    /// vibration, misalignment, traffic, clocks and photometry.
+    /// vibration, misalignment, traffic, clocks, photometry and lens-field (a smooth displacement
+    /// of 0.15 px that no camera model describes; not in all).
     #[arg(long, value_name = "NAMES", default_value = "none")]
     pub(crate) effects: Effects,
     /// Also writes truth/scan.ply, the cloud of a laser scanner on the roof, for `evaluate cloud`.
@@ -909,6 +922,7 @@ mod tests {
             ("features", "camera-model", "OPENCV_FISHEYE"),
             ("export", "to", "3dgs-deblur"),
             ("synth", "route", "open"),
+            ("synth", "carrier", "drone"),
             ("synth", "view-direction", "front-right"),
         ] {
             let values = values_of(command, option);

@@ -408,10 +408,7 @@ impl DriveOutcome {
         let Self { plan, setting, .. } = self;
         let DriveOptions { width, height, seed, length_m, rate_hz, .. } = plan.options;
         let (folder, truth) = (plan.folder.display(), self.drive.truth.display());
-        let route = match setting.route {
-            RouteKind::Loop => "loop",
-            RouteKind::Open => "open",
-        };
+        let route = setting.route.name();
         let frames = plan.frames.map(|frames| format!(" --frames {frames}")).unwrap_or_default();
         let mut text = format!(
             "  tiepoint synth -o {folder} --route {route} --length {length_m} --rate {rate_hz} \

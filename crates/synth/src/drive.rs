@@ -12,7 +12,7 @@ use crate::lens::{ActionLens, Lens};
 use crate::photometry::{Development, develop, jpeg_round_trip};
 use crate::render::{Renderer, RowPose, surface_at};
 use crate::route::Route;
-use crate::trajectory::{Motion, Trajectory};
+use crate::trajectory::{Carrier, Motion, Trajectory};
 use crate::world::{StreetOptions, SurfacePoint, World};
 use crate::{Effects, Mount};
 
@@ -32,17 +32,20 @@ pub enum RouteKind {
     Loop,
     /// An open route without a loop.
     Open,
+    /// A straight highway with little beside it.
+    Highway,
 }
 
 impl RouteKind {
     /// All kinds.
-    pub const ALL: [Self; 2] = [Self::Loop, Self::Open];
+    pub const ALL: [Self; 3] = [Self::Loop, Self::Open, Self::Highway];
 
     /// Its name.
     pub fn name(self) -> &'static str {
         match self {
             Self::Loop => "loop",
             Self::Open => "open",
+            Self::Highway => "highway",
         }
     }
 }
@@ -56,11 +59,11 @@ pub struct DriveOptions {
     pub route: RouteKind,
     /// Length of the street, in metres.
     pub length_m: f64,
-    /// Motion of the vehicle; suspension and vibration are taken from the effects.
+    /// Motion of the cameras; suspension and vibration are taken from the effects.
     pub motion: Motion,
-    /// Objects along the street; moving cars are taken from the effects.
+    /// Objects along a street; moving cars are taken from the effects.
     pub street: StreetOptions,
-    /// The cameras.
+    /// The cameras. A hand or a drone holds the middle of their positions.
     pub mounts: Vec<Mount>,
     /// Size of the images, in pixels.
     pub width: u32,
@@ -181,9 +184,13 @@ impl Drive {
         let route = match options.route {
             RouteKind::Loop => Route::street_loop(options.length_m, &mut rng)?,
             RouteKind::Open => Route::open_street(options.length_m, &mut rng)?,
+            RouteKind::Highway => Route::highway(options.length_m)?,
         };
         let street = StreetOptions { moving_cars: effects.moving_cars, ..options.street.clone() };
-        let world = World::street(&route, &street, seed)?;
+        let world = match options.route {
+            RouteKind::Highway => World::highway(&route, street.moving_cars, seed),
+            RouteKind::Loop | RouteKind::Open => World::street(&route, &street, seed)?,
+        };
         let motion = Motion {
             suspension: effects.suspension,
             vibration_rad: effects.vibration_rad,
@@ -191,7 +198,11 @@ impl Drive {
         };
         // Independent random streams: an effect does not change the random numbers of the others.
         let trajectory = Trajectory::drive(&route, &motion, &mut Rng::stream(seed, &[11]))?;
-        let cameras = options.mounts.iter().enumerate();
+        let mounts = match motion.carrier {
+            Carrier::Car => options.mounts.clone(),
+            Carrier::Handheld | Carrier::Drone => Mount::centred(&options.mounts),
+        };
+        let cameras = mounts.iter().enumerate();
         let cameras =
             cameras.map(|(index, mount)| camera(options, index, mount, &trajectory)).collect();
         Ok(Self {
@@ -338,8 +349,8 @@ impl Drive {
 
     /// The ground truth as a reconstruction: poses of all images at their middle rows and time
     /// stamps, without points. The intrinsics are the pinhole that equals the lens at its axis:
-    /// exact for the ideal lens; no camera model of COLMAP equals the action lens. Images are
-    /// ordered by camera, then by time.
+    /// exact for the ideal lens; no camera model of COLMAP equals the action lens or a lens field.
+    /// Images are ordered by camera, then by time.
     pub fn truth(&self) -> Reconstruction {
         let mut truth = Reconstruction::default();
         for (index, camera) in self.cameras.iter().enumerate() {
@@ -371,6 +382,11 @@ fn camera(
         Lens::Action(ActionLens::sample(options.width, options.height, &mut stream(0)))
     } else {
         Lens::pinhole(PINHOLE_FOCAL * f64::from(options.width), options.width, options.height)
+    };
+    let lens = if effects.lens_field_px > 0.0 {
+        lens.with_field(effects.lens_field_px, options.width, options.height, &mut stream(6))
+    } else {
+        lens
     };
     let mount =
         if effects.is_misaligned { mount.misaligned(&mut stream(1)) } else { mount.clone() };

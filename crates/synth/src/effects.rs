@@ -41,6 +41,9 @@ pub struct PhotometryEffects {
 pub struct Effects {
     /// Lens of an action camera, different for each camera, instead of the ideal pinhole.
     pub has_action_lens: bool,
+    /// Root mean square of the lens field, in pixels: a smooth displacement of pixels, different
+    /// for each camera and the same in all of its images, which no camera model describes.
+    pub lens_field_px: f64,
     /// Readout time from the first row to the last, in seconds; 0 for a global shutter.
     pub readout_s: f64,
     /// Scale of the pitch, roll and heave of the body: 1 for a real car, 0 for none.
@@ -84,6 +87,7 @@ impl Default for Effects {
     fn default() -> Self {
         Self {
             has_action_lens: false,
+            lens_field_px: 0.0,
             readout_s: 0.0,
             suspension: 0.0,
             vibration_rad: 0.0,
@@ -100,8 +104,8 @@ impl Default for Effects {
 pub type Switch = fn(&mut Effects);
 
 impl Effects {
-    /// The presets: name and effect. `all` combines them.
-    pub const PRESETS: [(&'static str, Switch); 8] = [
+    /// The presets: name and effect. `all` combines them, except `lens-field`.
+    pub const PRESETS: [(&'static str, Switch); 9] = [
         ("none", |_| {}),
         ("lens", |effects| effects.has_action_lens = true),
         // 16 ms: between a fast and an average action camera.
@@ -128,15 +132,16 @@ impl Effects {
             effects.photometry =
                 PhotometryEffects { exposure_stops: 0.7, noise: 0.02, jpeg_quality: Some(92) };
         }),
+        ("lens-field", |effects| effects.lens_field_px = 0.15),
     ];
 
-    /// All presets combined.
+    /// All presets combined, except `lens-field`: drives with all effects stay what they were.
     pub fn all() -> Self {
         let mut effects = Self::default();
         for (_, switch_on) in Self::PRESETS {
             switch_on(&mut effects);
         }
-        effects
+        Self { lens_field_px: 0.0, ..effects }
     }
 
     pub(crate) fn validate(&self) -> Result<(), Error> {
@@ -149,6 +154,12 @@ impl Effects {
             drop_fraction,
             rate_spread,
         } = self.clocks;
+        require(
+            (0.0..=1.0).contains(&self.lens_field_px),
+            "lens_field_px",
+            self.lens_field_px,
+            "0 to 1",
+        )?;
         let small = "0 to 0.2 s";
         require((0.0..=0.2).contains(&self.readout_s), "readout_s", self.readout_s, small)?;
         require((0.0..=3.0).contains(&self.suspension), "suspension", self.suspension, "0 to 3")?;
@@ -214,6 +225,7 @@ mod tests {
             assert_ne!(effects, Effects::all(), "{name}");
             effects.validate().unwrap();
         }
+        names.retain(|&name| name != "lens-field");
         names.reverse();
         assert_eq!(names.join("+").parse::<Effects>().unwrap(), Effects::all());
         assert!("rain".parse::<Effects>().is_err());

@@ -1,4 +1,4 @@
-//! Lenses: a distorted lens of an action camera, the ideal pinhole, and what a lens model leaves.
+//! Lenses: a distorted lens of an action camera, the ideal pinhole, and both with a lens field.
 //!
 //! The action lens has a radial profile with even and odd powers of the angle θ from the optical
 //! axis (as the lens maps that GoPro publishes), then decentring distortion (Brown 1966) on the
@@ -13,7 +13,8 @@
 
 use tiepoint_geometry::nalgebra::{Matrix2, SMatrix, SVector, Vector2, Vector3};
 use tiepoint_geometry::{CameraModelKind, Intrinsics, Rng};
-use tiepoint_scene::{ImageId, Reconstruction};
+
+use crate::lens_field::LensField;
 
 /// Step at which the Newton iterations end (in radians, or units of the fisheye plane), and the
 /// most iterations.
@@ -38,7 +39,7 @@ pub struct ActionLens {
 }
 
 /// A projection between rays and pixels.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub enum Lens {
     /// An ideal pinhole: pixel = f (x/z, y/z) + c.
     Pinhole {
@@ -49,6 +50,13 @@ pub enum Lens {
     },
     /// The lens of an action camera.
     Action(ActionLens),
+    /// A lens whose pixels a field displaces.
+    WithField {
+        /// The lens without the field.
+        lens: Box<Lens>,
+        /// The displacement at the pixels of that lens.
+        field: LensField,
+    },
 }
 
 impl ActionLens {
@@ -151,6 +159,12 @@ impl Lens {
         Self::Pinhole { focal_px, principal_point }
     }
 
+    /// The lens with a random field of `rms_px` over an image of `width` × `height` pixels.
+    pub fn with_field(self, rms_px: f64, width: u32, height: u32, rng: &mut Rng) -> Self {
+        let field = LensField::sample(rms_px, width, height, rng);
+        Self::WithField { lens: Box::new(self), field }
+    }
+
     /// Projects a point in the camera frame; `None` if the lens does not image it. The pixel may
     /// lie outside of the image.
     pub fn project(&self, point_in_cam: &Vector3<f64>) -> Option<Vector2<f64>> {
@@ -158,6 +172,9 @@ impl Lens {
             Self::Pinhole { focal_px, principal_point } => (point_in_cam.z > 1e-9)
                 .then(|| point_in_cam.xy() * (focal_px / point_in_cam.z) + principal_point),
             Self::Action(lens) => lens.project(point_in_cam),
+            Self::WithField { lens, field } => {
+                lens.project(point_in_cam).map(|pixel| pixel + field.at(&pixel))
+            }
         }
     }
 
@@ -168,6 +185,7 @@ impl Lens {
                 Some(((pixel - principal_point) / *focal_px).push(1.0).normalize())
             }
             Self::Action(lens) => lens.unproject(pixel),
+            Self::WithField { lens, field } => lens.unproject(&field.undo(pixel)?),
         }
     }
 
@@ -176,6 +194,7 @@ impl Lens {
         match self {
             Self::Pinhole { focal_px, .. } => *focal_px,
             Self::Action(lens) => lens.focal_px,
+            Self::WithField { lens, .. } => lens.focal_px(),
         }
     }
 
@@ -184,11 +203,12 @@ impl Lens {
         match self {
             Self::Pinhole { principal_point, .. } => *principal_point,
             Self::Action(lens) => lens.principal_point,
+            Self::WithField { lens, .. } => lens.principal_point(),
         }
     }
 
     /// PINHOLE intrinsics with the same focal length and principal point: exact for a pinhole,
-    /// correct only at the axis for the action lens.
+    /// correct only at the axis for the action lens, without the field.
     pub fn paraxial_intrinsics(&self) -> Intrinsics {
         let (focal, centre) = (self.focal_px(), self.principal_point());
         Intrinsics::new(CameraModelKind::Pinhole, &[focal, focal, centre.x, centre.y])
@@ -198,9 +218,12 @@ impl Lens {
     /// The nearest intrinsics that COLMAP has, for images of a size in pixels: those of the pinhole
     /// are exact; for the action lens the distortion of THIN_PRISM_FISHEYE with the same focal
     /// length and principal point, which differs least in squared pixels on a grid over the image.
+    /// The field is left out.
     pub fn nearest_intrinsics(&self, width: u32, height: u32) -> Intrinsics {
-        if matches!(self, Self::Pinhole { .. }) {
-            return self.paraxial_intrinsics();
+        match self {
+            Self::Pinhole { .. } => return self.paraxial_intrinsics(),
+            Self::WithField { lens, .. } => return lens.nearest_intrinsics(width, height),
+            Self::Action(_) => {}
         }
         let (f, c) = (self.focal_px(), self.principal_point());
         let at = |index: usize, size: u32| (index as f64 + 0.5) / GRID as f64 * f64::from(size);
@@ -237,71 +260,6 @@ impl Lens {
     }
 }
 
-/// A smooth displacement of the keypoints of a camera, the same in all images: what no camera model
-/// describes and a calibration leaves. It is a sum of cosines of the second to the fourth order
-/// along the axes of the image, with random amplitudes.
-#[derive(Clone, Debug, PartialEq)]
-pub struct LensField {
-    size_px: Vector2<f64>,
-    /// Order along each axis, and amplitude in pixels.
-    waves: Vec<([usize; 2], Vector2<f64>)>,
-}
-
-/// Orders of the waves of a lens field. Those below are a shift, a rotation or a change of scale.
-const MIN_ORDER: usize = 2;
-const MAX_ORDER: usize = 4;
-
-impl LensField {
-    /// A random field for an image size, in pixels. Its expected root mean square over the image is
-    /// `rms_px` along each axis.
-    pub fn sample(width: u32, height: u32, rms_px: f64, rng: &mut Rng) -> Self {
-        let orders = (0..=MAX_ORDER)
-            .flat_map(|i| (0..=MAX_ORDER - i).map(move |j| [i, j]))
-            .filter(|[i, j]| i + j >= MIN_ORDER);
-        let orders: Vec<[usize; 2]> = orders.collect();
-        let count = orders.len() as f64;
-        let waves = orders.into_iter().map(|[i, j]| {
-            // The mean square of a cosine, or of a product of two.
-            let mean_square = if i * j == 0 { 0.5 } else { 0.25 };
-            let scale = rms_px / (mean_square * count).sqrt();
-            ([i, j], Vector2::new(rng.normal(), rng.normal()) * scale)
-        });
-        let waves = waves.collect();
-        Self { size_px: Vector2::new(f64::from(width), f64::from(height)), waves }
-    }
-
-    /// The displacement at a pixel, in pixels.
-    pub fn at(&self, pixel: &Vector2<f64>) -> Vector2<f64> {
-        let phase = pixel.component_div(&self.size_px) * std::f64::consts::PI;
-        let wave = |&([i, j], amplitude): &([usize; 2], Vector2<f64>)| {
-            amplitude * (i as f64 * phase.x).cos() * (j as f64 * phase.y).cos()
-        };
-        self.waves.iter().map(wave).sum()
-    }
-
-    /// Moves the keypoints of a model by a random field for each camera.
-    pub fn add(model: &mut Reconstruction, rms_px: f64, seed: u64) {
-        let fields: Vec<Self> = model
-            .cameras()
-            .map(|(id, camera)| {
-                let mut rng = Rng::stream(seed, &[34, id.index() as u64]);
-                Self::sample(camera.width, camera.height, rms_px, &mut rng)
-            })
-            .collect();
-        let moved: Vec<(ImageId, Vec<Vector2<f64>>)> = model
-            .images()
-            .map(|(id, image)| {
-                let field = &fields[image.camera.index()];
-                let pixels = image.keypoints.iter().map(|keypoint| keypoint.pixel);
-                (id, pixels.map(|pixel| pixel + field.at(&pixel)).collect())
-            })
-            .collect();
-        for (id, pixels) in moved {
-            model.move_keypoints(id, &pixels);
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -315,12 +273,16 @@ mod tests {
     const RAY_TOLERANCE: f64 = 1e-12;
 
     fn lenses() -> impl Strategy<Value = Lens> {
-        prop_oneof![
+        let without = prop_oneof![
             (300.0..2000.0f64).prop_map(|focal| Lens::pinhole(focal, SIZE.0, SIZE.1)),
             (0u64..1000).prop_map(|seed| {
                 Lens::Action(ActionLens::sample(SIZE.0, SIZE.1, &mut Rng::stream(seed, &[])))
             }),
-        ]
+        ];
+        (without, prop::option::of(0u64..1000)).prop_map(|(lens, field)| match field {
+            None => lens,
+            Some(seed) => lens.with_field(0.15, SIZE.0, SIZE.1, &mut Rng::stream(seed, &[])),
+        })
     }
 
     proptest! {

@@ -108,6 +108,17 @@ impl Mount {
         })
     }
 
+    /// The cameras moved together so that the mean of their positions is the origin of the vehicle.
+    pub(crate) fn centred(mounts: &[Self]) -> Vec<Self> {
+        let positions = mounts.iter().map(|mount| mount.cam_from_vehicle.origin_in_a());
+        let mean = positions.sum::<Vector3<f64>>() / mounts.len() as f64;
+        let moved = |mount: &Self| {
+            let shift = Rigid3::new(UnitQuaternion::identity(), mean);
+            Self { name: mount.name.clone(), cam_from_vehicle: mount.cam_from_vehicle * shift }
+        };
+        mounts.iter().map(moved).collect()
+    }
+
     /// The camera with a random misalignment: rotated about its centre by about 1.5 degrees about
     /// each axis.
     pub fn misaligned(&self, rng: &mut Rng) -> Self {

@@ -19,6 +19,11 @@ const BEND_MIN_SIDE_M: f64 = 120.0;
 const BEND_OFFSET_M: [f64; 2] = [3.0, 8.0];
 /// Range of the lengths of the blocks of an open street, in metres.
 const BLOCK_M: [f64; 2] = [70.0, 140.0];
+/// Strips of a flight over a street, in metres: their distance, the radius of their turns, and how
+/// far they reach beyond the centre line.
+const STRIP_M: f64 = 20.0;
+const STRIP_TURN_M: f64 = 8.0;
+const STRIP_MARGIN_M: f64 = 15.0;
 
 /// A segment of the route: a line (curvature 0) or an arc (positive curvature turns left).
 #[derive(Clone, Copy, Debug)]
@@ -228,6 +233,43 @@ impl Route {
             (position, left, is_eastwards) = (end, left - block, !is_eastwards);
         }
         Self::from_corners(&corners, false)
+    }
+
+    /// A straight highway of `length_m` to the east.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::OutOfRange`] if the highway is shorter than 40 m.
+    pub fn highway(length_m: f64) -> Result<Self, Error> {
+        require(length_m >= 40.0, "highway length_m", length_m, "at least 40 m")?;
+        Self::from_corners(&[(Vector2::zeros(), 0.0), (Vector2::new(length_m, 0.0), 0.0)], false)
+    }
+
+    /// Parallel strips to and fro above another route, as in a survey by air.
+    ///
+    /// # Errors
+    ///
+    /// None that is known: the error of [`Route::from_corners`].
+    pub(crate) fn strips_over(street: &Self) -> Result<Self, Error> {
+        let (low, high) = street.bounds();
+        let (first, last) = (low.x - STRIP_MARGIN_M, high.x + STRIP_MARGIN_M);
+        let strips = ((high.y - low.y) / STRIP_M).ceil() as usize + 2;
+        let margin = 0.5 * ((strips - 1) as f64 * STRIP_M - (high.y - low.y));
+        let corners: Vec<_> = (0..strips)
+            .flat_map(|strip| {
+                let y = low.y - margin + strip as f64 * STRIP_M;
+                let [from, to] = if strip % 2 == 0 { [first, last] } else { [last, first] };
+                [from, to].map(|x| (Vector2::new(x, y), STRIP_TURN_M))
+            })
+            .collect();
+        Self::from_corners(&corners, false)
+    }
+
+    /// Corners of a rectangle around the centre line, to within 2 m.
+    pub(crate) fn bounds(&self) -> (Vector2<f64>, Vector2<f64>) {
+        let points = (0..=self.length_m as usize / 4).map(|k| self.point(4.0 * k as f64));
+        let none = Vector2::repeat(f64::INFINITY);
+        points.fold((none, -none), |(low, high), point| (low.inf(&point), high.sup(&point)))
     }
 
     /// Appends a segment; its arc length begins at the current length of the route.

@@ -85,8 +85,9 @@ impl Drive {
     }
 
     /// The true cameras: `camera,quantity,value`. Quantities are the lens (`focal_px`, `cx`, `cy`,
-    /// and for the action lens `a1`..`a4`, `p1`, `p2`), the clock, the readout time, and
-    /// cam_from_rig (the first camera is the reference sensor).
+    /// and for the action lens `a1`..`a4`, `p1`, `p2`), the clock, the readout time, cam_from_rig
+    /// (the first camera is the reference sensor), and for the lens field `field_x_i_j` and
+    /// `field_y_i_j`, the displacements of the mode of i and j half waves in pixels.
     pub fn cameras_csv(&self) -> String {
         let mut text = String::from("camera,quantity,value\n");
         for (index, camera) in self.cameras().iter().enumerate() {
@@ -109,11 +110,20 @@ impl Drive {
                 ("rig_ty", t.y),
                 ("rig_tz", t.z),
             ];
-            if let Lens::Action(lens) = &camera.lens {
+            let (lens, field) = match &camera.lens {
+                Lens::WithField { lens, field } => (lens.as_ref(), Some(field)),
+                lens => (lens, None),
+            };
+            if let Lens::Action(lens) = lens {
                 rows.extend(["a1", "a2", "a3", "a4"].into_iter().zip(lens.radial));
                 rows.extend(["p1", "p2"].into_iter().zip(lens.decentring));
             }
-            for (quantity, value) in rows {
+            let rows = rows.into_iter().map(|(quantity, value)| (quantity.to_owned(), value));
+            let modes = field.into_iter().flat_map(|field| field.modes());
+            let modes = modes.flat_map(|([i, j], c)| {
+                [(format!("field_x_{i}_{j}"), c.x), (format!("field_y_{i}_{j}"), c.y)]
+            });
+            for (quantity, value) in rows.chain(modes) {
                 writeln!(text, "{},{quantity},{value}", camera.name)
                     .expect("a string can be written to");
             }

@@ -1,5 +1,6 @@
 use tiepoint_experiments::{BASELINE_M, Plan, render, write_depths, write_scan};
-use tiepoint_synth::{DriveOptions, Mount};
+use tiepoint_synth::trajectory::{Carrier, Motion};
+use tiepoint_synth::{DriveOptions, Mount, RouteKind};
 
 use crate::args::Synth;
 use crate::failure::Failure;
@@ -26,6 +27,10 @@ fn plan(args: &Synth) -> Plan {
         seed: args.seed,
         route: args.route,
         length_m: args.length,
+        motion: match (args.carrier, args.route) {
+            (Carrier::Car, RouteKind::Highway) => Motion::highway(),
+            (carrier, _) => Motion::of(carrier),
+        },
         mounts: Mount::stereo(args.view_direction, BASELINE_M).to_vec(),
         width: args.size.width,
         height: args.size.height,

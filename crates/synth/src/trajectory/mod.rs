@@ -1,14 +1,17 @@
 //! The trajectory of the vehicle: the dense output of its numerical integration.
 //!
-//! The vehicle is integrated at 1 kHz (`vehicle`). Between two steps the pose is the cubic Hermite
-//! polynomial of states and rates, which is the dense output of the integrator. A millisecond is
+//! A car is integrated at 1 kHz (`vehicle`), a camera in a hand or on a drone sampled (`carried`).
+//! Between two steps the pose is the cubic Hermite polynomial of values and rates, which is the
+//! dense output of the integrator. A millisecond is
 //! far below the periods of all motions, so that the interpolation is exact to well under a
 //! micrometre; it shares nothing with the splines that estimators fit to image times.
 //!
 //! Frames: the world has x east, y north, z up; the vehicle, as cameras do, x right, y down, z
-//! forward, with its origin on the road under the rear axle.
+//! forward, with its origin on the road under the rear axle, or in the hand or the drone.
 
+mod carried;
 mod motion;
+mod sample;
 mod vehicle;
 
 use tiepoint_geometry::nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
@@ -16,8 +19,9 @@ use tiepoint_geometry::{Rigid3, Rng, so3};
 
 use crate::error::{Error, require};
 use crate::route::Route;
-pub use motion::Motion;
-use vehicle::{HEAVE, PITCH, ROLL, STEP_S, State, TRAVELLED, X, Y, YAW};
+use carried::carry;
+pub use motion::{Carrier, Motion};
+use sample::{STEP_S, Sample};
 
 /// Frequency of the engine vibration, and of the modulation of its amplitude.
 const VIBRATION_HZ: f64 = 12.0;
@@ -35,14 +39,15 @@ pub struct Velocity {
 /// A simulated drive.
 #[derive(Clone, Debug)]
 pub struct Trajectory {
-    states: Vec<State>,
+    samples: Vec<Sample>,
     suspension: f64,
     vibration_rad: f64,
     vibration_phases: [f64; 4],
 }
 
 impl Trajectory {
-    /// Simulates a drive along a route from end to end, or once around a loop plus the overlap.
+    /// Simulates a drive along a route from end to end, or once around a loop plus the overlap; of
+    /// a drone, the flight over all of it.
     ///
     /// # Errors
     ///
@@ -63,11 +68,21 @@ impl Trajectory {
         require(motion.lane_left_m.abs() <= 3.0, "lane_left_m", motion.lane_left_m, "-3 to 3 m")?;
         require(motion.overlap_m >= 0.0, "overlap_m", motion.overlap_m, "at least 0 m")?;
         let distance_m = route.length_m() + if route.is_closed() { motion.overlap_m } else { 0.0 };
-        let states = vehicle::drive(route, motion, distance_m, rng);
+        let samples = match motion.carrier {
+            Carrier::Car => vehicle::drive(route, motion, distance_m, rng),
+            Carrier::Handheld => {
+                carry(route, &carried::HANDHELD, motion.speed_mps, distance_m, rng)
+            }
+            Carrier::Drone => {
+                let strips = Route::strips_over(route)?;
+                carry(&strips, &carried::DRONE, motion.speed_mps, strips.length_m(), rng)
+            }
+        };
+        let is_car = motion.carrier == Carrier::Car;
         let vibration_phases = std::array::from_fn(|_| std::f64::consts::TAU * rng.uniform());
         Ok(Self {
-            states,
-            suspension: motion.suspension,
+            samples,
+            suspension: if is_car { motion.suspension } else { 1.0 },
             vibration_rad: motion.vibration_rad,
             vibration_phases,
         })
@@ -75,28 +90,27 @@ impl Trajectory {
 
     /// Duration in seconds: poses are defined from 0 to it, and constant outside.
     pub fn duration_s(&self) -> f64 {
-        (self.states.len() - 1) as f64 * STEP_S
+        (self.samples.len() - 1) as f64 * STEP_S
     }
 
-    /// The states before and after a time, and its fraction of the step between them, 0 to 1.
-    fn bracketing_states(&self, time_s: f64) -> (&State, &State, f64) {
-        let steps = (time_s / STEP_S).clamp(0.0, (self.states.len() - 1) as f64);
-        let index = (steps as usize).min(self.states.len().saturating_sub(2));
+    /// The samples before and after a time, and its fraction of the step between them, 0 to 1.
+    fn bracketing_samples(&self, time_s: f64) -> (&Sample, &Sample, f64) {
+        let steps = (time_s / STEP_S).clamp(0.0, (self.samples.len() - 1) as f64);
+        let index = (steps as usize).min(self.samples.len().saturating_sub(2));
         (
-            &self.states[index],
-            &self.states[(index + 1).min(self.states.len() - 1)],
+            &self.samples[index],
+            &self.samples[(index + 1).min(self.samples.len() - 1)],
             steps - index as f64,
         )
     }
 
     /// x, y, yaw, pitch, roll, heave and their rates.
     fn body(&self, time_s: f64) -> ([f64; 6], [f64; 6]) {
-        let (before, after, u) = self.bracketing_states(time_s);
-        let (rates0, rates1) = (vehicle::pose_rates(before), vehicle::pose_rates(after));
+        let (before, after, u) = self.bracketing_samples(time_s);
         let (mut values, mut rates) = ([0.0; 6], [0.0; 6]);
-        for (k, &channel) in [X, Y, YAW, PITCH, ROLL, HEAVE].iter().enumerate() {
+        for k in 0..6 {
             (values[k], rates[k]) =
-                hermite(before[channel], after[channel], rates0[k], rates1[k], u);
+                hermite(before.pose[k], after.pose[k], before.rates[k], after.rates[k], u);
             if k >= 3 {
                 values[k] *= self.suspension;
                 rates[k] *= self.suspension;
@@ -149,8 +163,8 @@ impl Trajectory {
 
     /// Distance travelled since the beginning, in metres.
     pub fn travelled_m(&self, time_s: f64) -> f64 {
-        let (before, after, u) = self.bracketing_states(time_s);
-        before[TRAVELLED] + u * (after[TRAVELLED] - before[TRAVELLED])
+        let (before, after, u) = self.bracketing_samples(time_s);
+        before.travelled_m + u * (after.travelled_m - before.travelled_m)
     }
 }
 
@@ -202,13 +216,23 @@ mod tests {
         })
     }
 
+    fn carried() -> impl Iterator<Item = (Route, Trajectory)> {
+        [Carrier::Handheld, Carrier::Drone].into_iter().zip(SEEDS).map(|(carrier, seed)| {
+            let mut rng = Rng::stream(seed, &[8]);
+            let route = Route::street_loop(200.0, &mut rng).unwrap();
+            let motion = Motion { vibration_rad: 0.05f64.to_radians(), ..Motion::of(carrier) };
+            let trajectory = Trajectory::drive(&route, &motion, &mut rng).unwrap();
+            (route, trajectory)
+        })
+    }
+
     #[test]
     fn velocity_is_the_derivative_of_the_pose() {
         // Central differences of step h: truncation h²/6 · |pose'''| ≈ (1e-4)²/6 · 0.05° · (75/s)³
         // ≈ 1e-6 rad/s.
         const H_S: f64 = 1e-4;
         const TOLERANCE: f64 = 1e-5;
-        for (_, trajectory) in drives() {
+        for (_, trajectory) in drives().chain(carried()) {
             for k in 1..200 {
                 // In the middle of a step: a difference across two steps would see the jump of the
                 // third derivative.
@@ -238,7 +262,7 @@ mod tests {
         // 1 ns before and after a step: at 40 m/s² and 20 rad/s² nothing changes by more than this.
         const DT_S: f64 = 1e-9;
         const TOLERANCE: f64 = 1e-6;
-        for (_, trajectory) in drives() {
+        for (_, trajectory) in drives().chain(carried()) {
             for k in 1..500 {
                 let step = (trajectory.duration_s() / STEP_S * k as f64 / 500.0).floor() * STEP_S;
                 let (before, after) =
@@ -270,6 +294,39 @@ mod tests {
             assert!(hardest < 3.0, "{hardest} m/s²");
             let travelled = trajectory.travelled_m(trajectory.duration_s());
             assert!((travelled - route.length_m()).abs() < 0.15 * route.length_m(), "{travelled}");
+        }
+    }
+
+    #[test]
+    fn a_pedestrian_walks_on_the_pavement_and_a_drone_flies_over_the_whole_street() {
+        // Half an image of the drone is wider than this to each side.
+        const SEEN_M: f64 = 15.0;
+        let [(street, walk), (block, flight)] = carried().collect::<Vec<_>>().try_into().unwrap();
+        let poses = |trajectory: &Trajectory| -> Vec<Rigid3> {
+            let samples = (trajectory.duration_s() / 0.05) as usize;
+            (0..samples).map(|k| trajectory.world_from_vehicle(0.05 * k as f64)).collect()
+        };
+        for (k, pose) in poses(&walk).iter().enumerate() {
+            let position = street.locate(pose.translation.xy());
+            assert!((7.1..7.7).contains(&-position.left_m), "{position:?}");
+            assert!((1.45..1.75).contains(&pose.translation.z), "{pose:?}");
+            // The bob and the sway of 0.1 m are slower than 0.3 m/s.
+            let velocity = walk.velocity(0.05 * k as f64).linear_in_world;
+            assert!((velocity.norm() - 1.4).abs() < 0.3, "{velocity}");
+            // Waves of yaw together have 0.23 rad.
+            let ahead = street.heading_rad(position.along_m);
+            let view = pose.rotation * Vector3::z();
+            assert!(view.x * ahead.cos() + view.y * ahead.sin() > 0.3f64.cos(), "{view}");
+        }
+        let flight = poses(&flight);
+        for pose in &flight {
+            let (height, down) = (pose.translation.z, (pose.rotation * Vector3::z()).z);
+            assert!((29.0..39.0).contains(&height) && (-0.9..-0.65).contains(&down), "{pose:?}");
+        }
+        for k in 0..block.length_m() as usize {
+            let place = block.point(k as f64);
+            let seen = flight.iter().any(|pose| (pose.translation.xy() - place).norm() < SEEN_M);
+            assert!(seen, "nobody flies over {place}");
         }
     }
 

@@ -13,10 +13,9 @@
 use tiepoint_geometry::{Rng, nalgebra::SVector};
 
 use super::motion::Motion;
+use super::sample::{STEP_S, Sample};
 use crate::route::{Route, RoutePosition};
 
-/// Step of the integration, in seconds.
-pub(super) const STEP_S: f64 = 1e-3;
 /// Distance between the axles, in metres.
 const WHEELBASE_M: f64 = 2.7;
 /// Time constants of the steering and the acceleration, in seconds.
@@ -41,17 +40,17 @@ const WANDER_WAVELENGTHS_M: [f64; 3] = [71.0, 43.0, 29.0];
 
 /// x, y, yaw, speed, acceleration, steering angle, travelled distance, then value and rate of
 /// pitch, roll and heave (metres, radians, seconds).
-pub(super) type State = SVector<f64, 13>;
-pub(super) const X: usize = 0;
-pub(super) const Y: usize = 1;
-pub(super) const YAW: usize = 2;
-pub(super) const SPEED: usize = 3;
-pub(super) const ACCELERATION: usize = 4;
-pub(super) const STEERING: usize = 5;
-pub(super) const TRAVELLED: usize = 6;
-pub(super) const PITCH: usize = 7;
-pub(super) const ROLL: usize = 9;
-pub(super) const HEAVE: usize = 11;
+type State = SVector<f64, 13>;
+const X: usize = 0;
+const Y: usize = 1;
+const YAW: usize = 2;
+const SPEED: usize = 3;
+const ACCELERATION: usize = 4;
+const STEERING: usize = 5;
+const TRAVELLED: usize = 6;
+const PITCH: usize = 7;
+const ROLL: usize = 9;
+const HEAVE: usize = 11;
 
 /// The command of the driver during one step.
 #[derive(Clone, Copy)]
@@ -61,7 +60,7 @@ struct Command {
 }
 
 /// The vehicle with the phases of the waves of the road.
-pub(super) struct Car {
+struct Car {
     road_phases: [f64; 6],
 }
 
@@ -191,9 +190,8 @@ impl Driver<'_> {
     }
 }
 
-/// Simulates until the car has passed `distance_m` of the route, or for an hour: the states at 1
-/// kHz.
-pub(super) fn drive(route: &Route, motion: &Motion, distance_m: f64, rng: &mut Rng) -> Vec<State> {
+/// Simulates until the car has passed `distance_m` of the route, or for an hour: samples at 1 kHz.
+pub(super) fn drive(route: &Route, motion: &Motion, distance_m: f64, rng: &mut Rng) -> Vec<Sample> {
     let mut phase = || std::f64::consts::TAU * rng.uniform();
     let car = Car { road_phases: std::array::from_fn(|_| phase()) };
     let phases = std::array::from_fn(|_| phase());
@@ -211,24 +209,29 @@ pub(super) fn drive(route: &Route, motion: &Motion, distance_m: f64, rng: &mut R
     // jolt.
     (state[HEAVE], _) = car.road(0.0);
     let max_steps = (3600.0 / STEP_S) as usize;
-    let mut states = vec![state];
-    while driver.along_m < distance_m && states.len() < max_steps {
+    let mut samples = vec![Sample::from(&state)];
+    while driver.along_m < distance_m && samples.len() < max_steps {
         let command = driver.command(&state);
         state = car.step(&state, command);
-        states.push(state);
+        samples.push(Sample::from(&state));
     }
-    states
+    samples
 }
 
-/// Rates of x, y, yaw, pitch, roll and heave, as functions of the state alone.
-pub(super) fn pose_rates(state: &State) -> [f64; 6] {
-    let speed = state[SPEED];
-    [
-        speed * state[YAW].cos(),
-        speed * state[YAW].sin(),
-        speed * state[STEERING].tan() / WHEELBASE_M,
-        state[PITCH + 1],
-        state[ROLL + 1],
-        state[HEAVE + 1],
-    ]
+impl From<&State> for Sample {
+    fn from(state: &State) -> Self {
+        let speed = state[SPEED];
+        Self {
+            pose: [X, Y, YAW, PITCH, ROLL, HEAVE].map(|channel| state[channel]),
+            rates: [
+                speed * state[YAW].cos(),
+                speed * state[YAW].sin(),
+                speed * state[STEERING].tan() / WHEELBASE_M,
+                state[PITCH + 1],
+                state[ROLL + 1],
+                state[HEAVE + 1],
+            ],
+            travelled_m: state[TRAVELLED],
+        }
+    }
 }

@@ -44,12 +44,9 @@ pub(crate) struct Ground {
 
 impl Ground {
     pub(crate) fn new(route: &Route, seed: u32) -> Self {
-        let samples: Vec<Vector2<f64>> =
-            (0..=route.length_m() as usize / 4).map(|k| route.point(4.0 * k as f64)).collect();
         let margin = Vector2::repeat(REACH_M + CELL_M);
-        let low = samples.iter().fold(Vector2::repeat(f64::INFINITY), |low, p| low.inf(p)) - margin;
-        let high =
-            samples.iter().fold(Vector2::repeat(f64::NEG_INFINITY), |high, p| high.sup(p)) + margin;
+        let (low, high) = route.bounds();
+        let (low, high) = (low - margin, high + margin);
         let [columns, rows] =
             [0, 1].map(|axis| ((high[axis] - low[axis]) / CELL_M).ceil() as usize);
         let mut index = Vec::with_capacity(columns * rows);

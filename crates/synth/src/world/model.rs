@@ -3,6 +3,7 @@
 use tiepoint_geometry::Rng;
 use tiepoint_geometry::nalgebra::Vector3;
 
+use super::builder::Builder;
 use super::bvh::{Bvh, NOTHING};
 use super::ground::Ground;
 use super::material::Surface;
@@ -48,6 +49,16 @@ impl World {
             require((0.0..=1.0).contains(&value), name, value, "0 to 1")?;
         }
         let built = street::build(route, options, seed);
+        Ok(Self::beside(route, built, options.moving_cars, seed))
+    }
+
+    /// A highway along a route with little beside it, and with moving cars.
+    pub fn highway(route: &Route, moving_cars: usize, seed: u64) -> Self {
+        Self::beside(route, street::build_highway(route, seed), moving_cars, seed)
+    }
+
+    /// A route between objects, under a sky.
+    fn beside(route: &Route, built: Builder, moving_cars: usize, seed: u64) -> Self {
         let mut rng = Rng::stream(seed, &[4]);
         let ground = Ground::new(route, furniture::seed(&mut rng));
         let mut world = Self::from_quads(built.quads, built.surfaces);
@@ -60,8 +71,8 @@ impl World {
             azimuth.sin() * elevation.cos(),
             elevation.sin(),
         );
-        world.moving_cars = moving_car::traffic(route, options.moving_cars, &mut rng);
-        Ok(world)
+        world.moving_cars = moving_car::traffic(route, moving_cars, &mut rng);
+        world
     }
 
     /// A world of given quads without ground, for calibration targets and tests. The field

@@ -19,6 +19,10 @@ const DEPTHS_M: [f64; 4] = [12.0, 10.0, 8.0, 6.0];
 const SETBACKS_M: [f64; 3] = [0.0, 1.5, 3.5];
 /// Range of the distance of the second row of taller houses from the centre line, in metres.
 const SECOND_ROW_M: [f64; 2] = [38.0, 75.0];
+/// Ranges of the distance of hedges and trees from the centre line of a highway, which ends before
+/// the second row, and of the distance along it from one object to the next, in metres.
+const ROADSIDE_M: [f64; 2] = [13.0, 33.0];
+const ROADSIDE_STEP_M: [f64; 2] = [8.0, 26.0];
 /// Signs of the sides of the street: positive is left.
 const SIDES: [f64; 2] = [-1.0, 1.0];
 
@@ -123,6 +127,34 @@ pub(super) fn build(route: &Route, options: &StreetOptions, seed: u64) -> Builde
             options,
             &mut Rng::stream(seed, &[3, index as u64]),
         );
+    }
+    world
+}
+
+/// A highway: sparse lamps, hedges and trees beside it, houses in the distance.
+pub(super) fn build_highway(route: &Route, seed: u64) -> Builder {
+    let (mut world, mut lots) = (Builder::default(), Vec::new());
+    for (index, side) in SIDES.into_iter().enumerate() {
+        second_row(&mut world, &mut lots, route, side, &mut Rng::stream(seed, &[2, index as u64]));
+        let rng = &mut Rng::stream(seed, &[3, index as u64]);
+        let mut along_m = in_range(rng, 0.0, ROADSIDE_STEP_M[1]);
+        while along_m < route.length_m() {
+            let heading = route.heading_rad(along_m);
+            let mut place = |model: &Builder, left_m: f64, yaw_rad: f64| {
+                let position = RoutePosition { along_m, left_m: side * left_m };
+                world.place(model, yaw_rad, on_ground(route.point_beside(position), 0.0));
+            };
+            let far_m = in_range(rng, ROADSIDE_M[0], ROADSIDE_M[1]);
+            match rng.below(4) {
+                0 => {
+                    let inwards = heading - side * std::f64::consts::FRAC_PI_2;
+                    place(&lamp(rng), PAVEMENT_M, inwards);
+                }
+                1 => place(&hedge(in_range(rng, 4.0, 9.0), rng), far_m, heading),
+                _ => place(&tree(rng), far_m, in_range(rng, 0.0, 6.0)),
+            }
+            along_m += in_range(rng, ROADSIDE_STEP_M[0], ROADSIDE_STEP_M[1]);
+        }
     }
     world
 }

@@ -2,6 +2,7 @@
 
 use tiepoint_geometry::Rigid3;
 use tiepoint_geometry::nalgebra::{Quaternion, UnitQuaternion, Vector3};
+use tiepoint_synth::lens::Lens;
 use tiepoint_synth::{Drive, DriveOptions, Effects, Mount, ViewDirection, image};
 
 fn drive(effects: Effects) -> Drive {
@@ -63,6 +64,31 @@ fn tables_hold_time_stamps_and_true_poses() {
     assert_eq!(read("truth/left.tum").lines().count(), drive.cameras()[0].exposures.len());
     let offset = format!("right,clock_offset_s,{}", drive.cameras()[1].clock.offset_s);
     assert!(read("truth/cameras.csv").contains(&offset));
+}
+
+#[test]
+fn the_lens_field_is_that_of_the_table() {
+    let drive = drive("lens+lens-field".parse().unwrap());
+    let camera = &drive.cameras()[1];
+    let table = drive.cameras_csv();
+    let rows = table.lines().filter_map(|line| line.strip_prefix("right,field_"));
+    // The displacement of a pixel from its documented formula.
+    let mut sum = Vector3::zeros();
+    let pixel = Vector3::new(31.0, 77.5, 0.0);
+    for row in rows {
+        let (mode, value) = row.split_once(',').unwrap();
+        let words: Vec<&str> = mode.split('_').collect();
+        let waves: Vec<f64> = words[1..].iter().map(|word| word.parse().unwrap()).collect();
+        let at = |k: usize, side: f64| (waves[k] * std::f64::consts::PI * pixel[k] / side).cos();
+        let displacement = value.parse::<f64>().unwrap() * at(0, 160.0) * at(1, 120.0);
+        sum[usize::from(words[0] == "y")] += displacement;
+    }
+    let Lens::WithField { lens, field } = &camera.lens else { panic!("no field") };
+    assert!((field.at(&pixel.xy()) - sum.xy()).norm() < 1e-12);
+    // 0.15 px over the image.
+    assert!((0.01..0.6).contains(&sum.norm()), "{sum}");
+    let ray = lens.unproject(&pixel.xy()).unwrap();
+    assert!((camera.lens.project(&ray).unwrap() - (pixel + sum).xy()).norm() < 1e-9);
 }
 
 #[test]

@@ -5,8 +5,9 @@ use tiepoint_geometry::nalgebra::{Matrix2, Vector2, Vector3};
 use tiepoint_geometry::{Rigid3, Rng};
 use tiepoint_synth::lens::{ActionLens, Lens};
 use tiepoint_synth::render::{Radiance, Renderer, RowPose};
+use tiepoint_synth::trajectory::{Carrier, Motion};
 use tiepoint_synth::world::{Material, Quad, Surface, World};
-use tiepoint_synth::{Drive, DriveOptions, Effects, Mount, ViewDirection, image};
+use tiepoint_synth::{Drive, DriveOptions, Effects, Mount, RouteKind, ViewDirection, image};
 
 const WIDTH: u32 = 640;
 const HEIGHT: u32 = 480;
@@ -106,7 +107,11 @@ fn checkerboard_corners_agree_with_the_lens() {
         Lens::pinhole(380.0, WIDTH, HEIGHT),
         Lens::Action(ActionLens::sample(WIDTH, HEIGHT, &mut rng)),
     ];
-    for lens in lenses {
+    // A field of this size is seen: it is larger than the largest error.
+    let fields = lenses.clone().map(|lens| {
+        lens.with_field(2.0 * MAX_GLOBAL_ERROR_PX, WIDTH, HEIGHT, &mut Rng::stream(4, &[]))
+    });
+    for lens in lenses.into_iter().chain(fields) {
         for x in [0.0, 0.37, 1.1] {
             let pose = world_from_cam(Vector3::new(x, 0.21 * x, 50.1));
             let errors = corner_errors_px(
@@ -168,8 +173,18 @@ fn surface_points_project_to_their_pixels() {
     // Newton and fixed-point iterations both end below 1e-8 px.
     const TOLERANCE_PX: f64 = 1e-6;
     let mut rng = Rng::stream(3, &[]);
-    for direction in ViewDirection::ALL {
-        let drive = drive(direction, Effects::all(), 5);
+    let with_field = Effects { lens_field_px: 0.15, ..Effects::all() };
+    let drives = ViewDirection::ALL.map(|direction| drive(direction, with_field, 5));
+    let others = [
+        (Motion::of(Carrier::Handheld), RouteKind::Open),
+        (Motion::of(Carrier::Drone), RouteKind::Loop),
+        (Motion::highway(), RouteKind::Highway),
+    ];
+    let others = others.map(|(motion, route)| {
+        let options = DriveOptions { motion, route, effects: with_field, ..Default::default() };
+        Drive::new(&options).unwrap()
+    });
+    for drive in drives.into_iter().chain(others) {
         let mut seen = 0;
         for _ in 0..300 {
             let exposures = &drive.cameras()[0].exposures;
@@ -181,7 +196,7 @@ fn surface_points_project_to_their_pixels() {
             assert!((back - pixel).norm() < TOLERANCE_PX, "{pixel} became {back}");
             seen += 1;
         }
-        assert!(seen > 100, "{seen} pixels of {direction:?} see anything");
+        assert!(seen > 100, "{seen} pixels see anything");
     }
 }
 
@@ -295,7 +310,8 @@ fn effects_are_independent() {
         switch_on(&mut effects);
         let with = drive(ViewDirection::Right, effects, 4);
         let (camera, plain_camera) = (&with.cameras()[0], &plain.cameras()[0]);
-        assert_eq!(camera.lens == plain_camera.lens, name != "lens", "{name}");
+        let has_lens = ["lens", "lens-field"].contains(&name);
+        assert_eq!(camera.lens == plain_camera.lens, !has_lens, "{name}");
         assert_eq!(camera.readout_s == 0.0, name != "rolling-shutter", "{name}");
         assert_eq!(
             camera.cam_from_vehicle == plain_camera.cam_from_vehicle,
@@ -309,4 +325,35 @@ fn effects_are_independent() {
         let stamps = |drive: &Drive| drive.timestamps_csv().replace(".jpg", ".png");
         assert_eq!(stamps(&with) == stamps(&plain), name != "clocks", "{name}");
     }
+}
+
+#[test]
+fn a_highway_has_little_near_it_and_a_drone_sees_the_ground() {
+    let of = |motion: Motion, route: RouteKind| {
+        let options = DriveOptions { motion, route, length_m: 300.0, ..DriveOptions::default() };
+        Drive::new(&options).unwrap()
+    };
+    // Share of the pixels that see something above the road within 30 m, and of those that see
+    // the sky.
+    let shares = |drive: &Drive| {
+        let (mut near, mut sky) = (0, 0);
+        let time_s = 0.5 * drive.trajectory().duration_s();
+        let pixels = (0..48).flat_map(|y| (0..64).map(move |x| Vector2::new(x as f64, y as f64)));
+        for pixel in pixels {
+            let centre = drive.row_pose(0, time_s, 0.0).world_from_cam.translation;
+            match drive.surface_at(0, time_s, &(pixel * 10.0)) {
+                Some(surface) if surface.point_in_world.z < 0.1 => {}
+                Some(surface) => {
+                    near += usize::from((surface.point_in_world - centre).norm() < 30.0);
+                }
+                None => sky += 1,
+            }
+        }
+        [near, sky].map(|count| f64::from(count as u32) / (64.0 * 48.0))
+    };
+    let [street, _] = shares(&of(Motion::default(), RouteKind::Open));
+    let [highway, _] = shares(&of(Motion::highway(), RouteKind::Highway));
+    let [_, sky] = shares(&of(Motion::of(Carrier::Drone), RouteKind::Loop));
+    assert!(highway < 0.3 * street, "{highway} beside a highway, {street} in a street");
+    assert!(sky == 0.0, "{sky} of the view of a drone is sky");
 }
