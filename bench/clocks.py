@@ -165,7 +165,7 @@ def run_seed(seed, arguments, work):
             rows[which] = {"why": "no model"}
         print(f"seed {seed}, {which}: {time.perf_counter() - start:.0f} s", file=sys.stderr)
     width, height = map(float, arguments.size.split("x"))
-    lens = ["--intrinsics", f"{focal},{focal},{width / 2},{height / 2}"]
+    lens = ["--intrinsics", f"{focal},{focal},{width / 2},{height / 2}", "--refine", "none"]
     known = [*lens, "--rig", "rigid"]
     run([*command(drive), "-o", work / "lens", *lens, "--rig", "auto"], log)
     rows["true lens"] = ate(pycolmap.Reconstruction(work / "lens/sparse/0"), centres)

@@ -264,7 +264,8 @@ def tiepoint(work, dataset, known, arguments, seed):
     ]
     command += ["--threads", arguments.threads, "--rig", "off"]
     if known:
-        command += ["--intrinsics", ",".join(repr(float(v)) for v in known)]
+        # COLMAP keeps them, too.
+        command += ["--intrinsics", ",".join(repr(float(v)) for v in known), "--refine", "none"]
     if dataset.reach:
         command += ["--pairs", f"sequential:{dataset.reach}"]
     start = time.perf_counter()

@@ -303,7 +303,7 @@ def scene_case(name, scratch, options):
     make = dense_scene.write if name == "room" else street
     focal, views = make(photos, options.seed, count, size)
     middle = np.array(size) / 2
-    known = ["--intrinsics", f"{focal},{focal},{middle[0]},{middle[1]}"]
+    known = ["--intrinsics", f"{focal},{focal},{middle[0]},{middle[1]}", "--refine", "none"]
     tiepoint("reconstruct", photos, "-o", workspace, *known, "--threads", options.threads)
     surface = Surface(views, focal, middle)
     true_poses = {
@@ -378,7 +378,7 @@ def kitti_case(name, scratch, options):
     k = [float(value) for value in first]
     # The centre of the first pixel is (0, 0) in KITTI's files.
     known = ",".join(map(repr, (k[0], k[5], k[2] + 0.5, k[6] + 0.5)))
-    words = ["--intrinsics", known, "--pairs", "sequential:5", "--threads", options.threads]
+    words = ["--intrinsics", known, "--refine", "none", "--pairs", "sequential:5", "--threads", options.threads]
     tiepoint("reconstruct", photos, "-o", workspace, *words)
     model = pycolmap.Reconstruction(workspace / "sparse/0")
     poses = np.loadtxt(folder / "poses.txt").reshape(-1, 3, 4)

@@ -92,8 +92,8 @@ fn stages(report: &Report) -> String {
         for note in &map.notes {
             line(format_args!("          {note}"));
         }
-        for calibration in calibrations(report) {
-            line(format_args!("{calibration}"));
+        for lens in calibrations(report).into_iter().chain(uncertain_focal_lengths(report)) {
+            line(format_args!("lens      {lens}"));
         }
         let shutters = report.models.first().into_iter().flat_map(|model| &model.cameras);
         for (camera, readout_s) in
@@ -196,7 +196,30 @@ fn calibrations(report: &Report) -> Vec<String> {
             false => moved.join(", "),
         };
         let id = camera.id;
-        Some(format!("lens      camera {id}: {moved} standard deviations from its calibration"))
+        Some(format!("camera {id}: {moved} standard deviations from its calibration"))
+    });
+    lines.take(MAX_NAMES).collect()
+}
+
+/// Relative standard deviation of a focal length from which on it is told: 95 % of the true values
+/// lie in a tenth of it.
+const UNCERTAIN_FOCAL: f64 = 0.025;
+
+/// The focal lengths that the images of the first model hardly determine, a line each.
+fn uncertain_focal_lengths(report: &Report) -> Vec<String> {
+    let cameras = report.models.first().into_iter().flat_map(|model| &model.cameras);
+    let lines = cameras.filter_map(|camera| {
+        let kind = CameraModelKind::from_name(&camera.model).ok()?;
+        let index = *kind.focal_indices().first()?;
+        let (id, focal_px, sd_px) =
+            (camera.id, *camera.params.get(index)?, *camera.params_sd.get(index)?);
+        let (low, high) = (focal_px - 2.0 * sd_px, focal_px + 2.0 * sd_px);
+        (sd_px > UNCERTAIN_FOCAL * focal_px).then(|| {
+            format!(
+                "camera {id}: the images say no more of its focal length than {low:.0} to \
+                {high:.0} px; images from a turn, --focal-prior or --calibration say more"
+            )
+        })
     });
     lines.take(MAX_NAMES).collect()
 }

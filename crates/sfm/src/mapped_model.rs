@@ -1,6 +1,6 @@
 use std::collections::BTreeMap;
 
-use tiepoint_scene::{ImageId, ImagePair, Reconstruction};
+use tiepoint_scene::{CameraId, ImageId, ImagePair, Reconstruction};
 
 use crate::event::Failure;
 use crate::rigs::CalibratedRig;
@@ -19,6 +19,10 @@ pub struct MappedModel {
     /// Result of the rig calibration; `None` without a rig term that calibrates, without images to
     /// constrain, or if the stage failed.
     pub rig: Option<CalibratedRig>,
+    /// Standard deviations of the parameters of each registered camera, in their order and units; 0
+    /// for constant ones. They hold where errors are correlated along tracks and in a part of the
+    /// image. Empty if none was refined or the images do not determine them.
+    pub intrinsics_sds: BTreeMap<CameraId, Vec<f64>>,
     /// Rolling shutters of the cameras, given or estimated.
     pub shutters: Vec<RollingShutter>,
     /// Motion during the exposure of each rolling-shutter image whose motion is known.

@@ -11,7 +11,7 @@ use tiepoint_eval::{
 };
 use tiepoint_input::sequences::number;
 use tiepoint_io::{strecha, trajectory};
-use tiepoint_sfm::scene::{Image, Reconstruction};
+use tiepoint_sfm::scene::{CameraId, Image, Reconstruction};
 
 use crate::Error;
 use crate::workspace::image_names::first_stream;
@@ -222,12 +222,9 @@ fn associate_images<'a>(
 ) -> Result<Vec<(Option<&'a Image>, TruePose)>, Error> {
     let pose = |cam_from_world| TruePose { cam_from_world, focal_px: None };
     let by_name = |poses: Vec<(String, TruePose)>| {
-        let file = |name: &str| name.rsplit('/').next().unwrap_or(name).to_owned();
-        let find = |name: &str| {
-            let same = images.iter().find(|image| image.name == name);
-            same.or_else(|| images.iter().find(|image| file(&image.name) == file(name))).copied()
-        };
-        poses.into_iter().map(|(name, pose)| (find(&name), pose)).collect()
+        let names: Vec<&str> = poses.iter().map(|(name, _)| name.as_str()).collect();
+        let found = images_of_names(images, &names);
+        found.into_iter().zip(poses).map(|(image, (_, pose))| (image, pose)).collect()
     };
     let path = &truth.path;
     Ok(match truth.format {
@@ -274,6 +271,29 @@ fn associate_images<'a>(
     })
 }
 
+/// The images with these names, else those of the same file, whatever its folder. Two cameras may
+/// have photos of one file name, which then says nothing.
+fn images_of_names<'a>(images: &[&'a Image], names: &[&str]) -> Vec<Option<&'a Image>> {
+    let file = |name: &str| name.rsplit('/').next().unwrap_or(name).to_owned();
+    let mut by_file: BTreeMap<String, Vec<&Image>> = BTreeMap::new();
+    for image in images {
+        by_file.entry(file(&image.name)).or_default().push(image);
+    }
+    let mut counts: BTreeMap<String, usize> = BTreeMap::new();
+    for name in names {
+        *counts.entry(file(name)).or_default() += 1;
+    }
+    let find = |name: &&str| {
+        let same = by_file.get(&file(name))?;
+        let exact = same.iter().find(|image| image.name == *name).copied();
+        exact.or(match same[..] {
+            [only] if counts[&file(name)] == 1 => Some(only),
+            _ => None,
+        })
+    };
+    names.iter().map(find).collect()
+}
+
 fn focal_lengths(model: &Reconstruction, pairs: &[(Option<&Image>, TruePose)]) -> Vec<FocalLength> {
     let mut cameras: BTreeMap<u32, Vec<f64>> = BTreeMap::new();
     for (image, truth) in pairs.iter().filter_map(|(image, truth)| Some(((*image)?, truth))) {
@@ -281,7 +301,7 @@ fn focal_lengths(model: &Reconstruction, pairs: &[(Option<&Image>, TruePose)]) -
     }
     let focal = |(id, truth): (u32, Vec<f64>)| FocalLength {
         camera: id + 1,
-        model_px: model.camera(tiepoint_sfm::scene::CameraId(id)).intrinsics.mean_focal_px(),
+        model_px: model.camera(CameraId(id)).intrinsics.mean_focal_px(),
         truth_px: Statistics::of(&truth).map(|truth| truth.mean),
     };
     cameras.into_iter().map(focal).collect()
@@ -297,6 +317,20 @@ mod tests {
         assert_eq!(truth, Truth { format: TruthFormat::Kitti, path: "data/poses:1.txt".into() });
         assert!("poses.txt".parse::<Truth>().unwrap_err().contains("FORMAT:PATH"));
         assert!("euler:poses.txt".parse::<Truth>().unwrap_err().contains("unknown format euler"));
+    }
+
+    #[test]
+    fn a_file_name_of_two_cameras_is_of_neither() {
+        let image = |name: &str| Image::new(name, CameraId(0), Vec::new());
+        let images = ["left/1.png", "left/2.png", "3.png"].map(image);
+        let images: Vec<&Image> = images.iter().collect();
+        let names = ["left/1.png", "right/1.png", "right/2.png", "a/3.png", "4.png"];
+        let found = images_of_names(&images, &names);
+        let found: Vec<Option<&str>> =
+            found.into_iter().map(|image| image.map(|image| image.name.as_str())).collect();
+        // right/2.png is the only one of its file name in both lists.
+        let expected = [Some("left/1.png"), None, Some("left/2.png"), Some("3.png"), None];
+        assert_eq!(found, expected);
     }
 
     #[test]

@@ -358,7 +358,7 @@ impl<'a> MapRequest<'a> {
                 loop_pairs: model.num_loop_pairs,
                 failed: model.failures.iter().map(|failure| describe(failure, is_known)).collect(),
                 rig: RigReport::new(mode, is_known && !has_failed, model, metres_per_unit),
-                ..ModelReport::new(model_path(index), &model.reconstruction, &model.shutters)
+                ..ModelReport::new(model_path(index), model)
             }
         };
         models.iter().zip(scales).enumerate().map(report).collect()
@@ -672,6 +672,7 @@ mod tests {
                 error_px: 1.0,
             }),
             reconstruction: model,
+            intrinsics_sds: BTreeMap::new(),
             shutters: Vec::new(),
             row_poses: BTreeMap::new(),
             num_loop_pairs: 0,

@@ -2,9 +2,9 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 use tiepoint_input::SkippedImage;
+use tiepoint_sfm::MappedModel;
 use tiepoint_sfm::geometry::Intrinsics;
-use tiepoint_sfm::rolling_shutter::RollingShutter;
-use tiepoint_sfm::scene::{Camera, CameraId, IntrinsicsPrior, Reconstruction};
+use tiepoint_sfm::scene::{Camera, CameraId, IntrinsicsPrior};
 use tiepoint_store::{Error as StoreError, require_regular_file};
 
 use crate::workspace::file_names::DENSE_CLOUD;
@@ -186,6 +186,10 @@ pub struct CameraReport {
     pub height: u32,
     /// Parameters of the camera model, in COLMAP's order.
     pub params: Vec<f64>,
+    /// Standard deviations of the parameters; 0 for constant ones. Empty if none was refined or the
+    /// images do not determine them.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub params_sd: Vec<f64>,
     /// The calibration that was given, and how far it was refined.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub calibration: Option<CalibrationReport>,
@@ -227,24 +231,38 @@ impl CameraReport {
         let (model, params) =
             (camera.intrinsics.kind().name().to_owned(), camera.intrinsics.params().to_vec());
         let (width, height) = (camera.width, camera.height);
-        let (calibration, readout_s, readout_sd_s) = (None, None, None);
-        Self { id: id.0 + 1, model, width, height, params, calibration, readout_s, readout_sd_s }
+        let (params_sd, calibration, readout_s, readout_sd_s) = (Vec::new(), None, None, None);
+        Self {
+            id: id.0 + 1,
+            model,
+            width,
+            height,
+            params,
+            params_sd,
+            calibration,
+            readout_s,
+            readout_sd_s,
+        }
     }
 
     /// The report on a camera of a model.
-    fn of_model(id: CameraId, model: &Reconstruction, shutter: Option<&RollingShutter>) -> Self {
+    fn of_model(id: CameraId, mapped: &MappedModel) -> Self {
+        let MappedModel { reconstruction: model, intrinsics_sds, shutters, .. } = mapped;
+        let shutter = shutters.iter().find(|shutter| shutter.camera == id);
+        let params_sd = intrinsics_sds.get(&id).cloned().unwrap_or_default();
         let camera = model.camera(id);
         let prior = model.intrinsics_priors.get(&id);
         let calibration = prior.and_then(|prior| CalibrationReport::new(prior, &camera.intrinsics));
         let readout_s = shutter.map(|shutter| shutter.readout_s);
         let readout_sd_s =
             shutter.and_then(|shutter| shutter.readout_sd_s).filter(|sd_s| sd_s.is_finite());
-        Self { calibration, readout_s, readout_sd_s, ..Self::new(id, camera) }
+        Self { params_sd, calibration, readout_s, readout_sd_s, ..Self::new(id, camera) }
     }
 }
 impl ModelReport {
-    /// The report on a model and the shutters of its cameras, without rig and scale.
-    pub(crate) fn new(path: String, model: &Reconstruction, shutters: &[RollingShutter]) -> Self {
+    /// The report on a model and its cameras, without rig and scale.
+    pub(crate) fn new(path: String, mapped: &MappedModel) -> Self {
+        let model = &mapped.reconstruction;
         // Images without keypoints could not be read.
         let images = || model.images().filter(|(_, image)| !image.keypoints.is_empty());
         let unregistered = images().filter(|(_, image)| image.cam_from_world().is_none());
@@ -261,10 +279,7 @@ impl ModelReport {
             cameras: model
                 .cameras()
                 .filter(|(id, _)| is_used(id))
-                .map(|(id, _)| {
-                    let shutter = shutters.iter().find(|shutter| shutter.camera == id);
-                    CameraReport::of_model(id, model, shutter)
-                })
+                .map(|(id, _)| CameraReport::of_model(id, mapped))
                 .collect(),
             rig: None,
             loop_pairs: 0,

@@ -6,6 +6,7 @@ mod focal_trials;
 mod growth;
 mod incremental;
 mod input;
+mod intrinsics_sds;
 mod known_rigs;
 mod loops;
 mod merge;

@@ -1,6 +1,11 @@
 //! Stages that follow the growth of a model, in a list.
 
+use std::collections::BTreeMap;
+
+use tiepoint_adjust::RefineIntrinsics;
+
 use super::input::Input;
+use super::intrinsics_sds::intrinsics_sds;
 use super::refinement_schedule::RefinementSchedule;
 use super::refiner::Refiner;
 use super::solution::Solution;
@@ -91,6 +96,14 @@ impl Refiner<'_> {
                 }
             }
         }
+        let options = self.adjust_options(&RefinementSchedule::FINAL);
+        let intrinsics_sds = match self.input.options.refine == RefineIntrinsics::NONE {
+            true => BTreeMap::new(),
+            false => {
+                let terms = &mut active(&mut self.terms, &self.solution);
+                intrinsics_sds(&self.solution.model, &options, terms)
+            }
+        };
         let Solution {
             model,
             initial_pair,
@@ -109,6 +122,7 @@ impl Refiner<'_> {
             initial_pair,
             is_in_frame_of_terms,
             rig,
+            intrinsics_sds,
             shutters,
             row_poses,
             num_loop_pairs,
