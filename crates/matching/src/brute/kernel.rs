@@ -201,8 +201,8 @@ pub(super) unsafe fn compare_all<L: KeyLanes, const R: usize, const C: usize, co
                 vectors_since_merge = 0;
             }
         }
-        for row in 0..rows {
-            let square = (row_constants[row] - row as i32) >> INDEX_BITS;
+        for (row, constant) in row_constants.iter().enumerate().take(rows) {
+            let square = (constant - row as i32) >> INDEX_BITS;
             of_rows.push(row_totals.nearest(row * L::LANES..(row + 1) * L::LANES, square));
         }
     }

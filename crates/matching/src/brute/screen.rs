@@ -243,18 +243,20 @@ unsafe fn find<L: ScoreLanes, const R: usize, const C: usize, const G: usize>(
                 };
                 Hit { row: (group + r) as u32, column, sum }
             };
-            if only_best {
-                found.hits.extend((0..(C * L::LANES) as u32).map(hit).max_by_key(|hit| hit.sum));
-                continue;
-            }
             let mut columns = 0;
             for c in 0..C {
                 let is_above = L::is_above(L::load(sums.add(c * L::WORDS)), splat::<L>(limits[r]));
                 columns |= u64::from(L::bits(is_above)) << (c * L::LANES);
             }
-            while columns != 0 {
-                found.hits.push(hit(columns.trailing_zeros()));
-                columns &= columns - 1;
+            let hits = std::iter::from_fn(|| {
+                let column = columns.trailing_zeros();
+                columns &= columns.wrapping_sub(1);
+                (column < u64::BITS).then(|| hit(column))
+            });
+            if only_best {
+                found.hits.extend(hits.max_by_key(|hit| hit.sum));
+            } else {
+                hits.for_each(|hit| found.hits.push(hit));
             }
         }
     }
