@@ -47,11 +47,8 @@ fn measure(queries: &[SiftDescriptor], points: &[SiftDescriptor]) {
         let options = Options::default();
         let (seconds, matches) =
             shortest(runs, || match_prepared_on(isa, &packed_queries, &packed_points, &options));
-        println!(
-            r#"{{"method":"matches with pruning, {isa}","seconds":{seconds},"queries":{},"matches":{}}}"#,
-            queries.len(),
-            matches.len()
-        );
+        print!(r#"{{"method":"matches with pruning, {isa}","seconds":{seconds},"#);
+        println!(r#""queries":{},"matches":{}}}"#, queries.len(), matches.len());
     }
     for trees in [1, 4, 8] {
         let (build_seconds, forest) =
