@@ -11,8 +11,9 @@ use std::error::Error;
 use std::time::Instant;
 
 use tiepoint_features::SiftDescriptor;
+use tiepoint_matching::Options;
 use tiepoint_matching::forest::{Checks, Forest, ForestOptions};
-use tiepoint_matching::sift::{Isa, Nearest, Prepared, nearest, nearest_on};
+use tiepoint_matching::sift::{Isa, Nearest, Prepared, match_prepared_on, nearest, nearest_on};
 
 /// Number of runs of each measurement. The minimum time is reported.
 const RUNS: usize = 5;
@@ -43,6 +44,11 @@ fn measure(queries: &[SiftDescriptor], points: &[SiftDescriptor]) {
             r#"{{"method":"brute force, both ways, {isa}","seconds":{seconds},"queries":{}}}"#,
             queries.len()
         );
+        let options = Options::default();
+        let (seconds, matches) =
+            shortest(runs, || match_prepared_on(isa, &packed_queries, &packed_points, &options));
+        print!(r#"{{"method":"matches with pruning, {isa}","seconds":{seconds},"#);
+        println!(r#""queries":{},"matches":{}}}"#, queries.len(), matches.len());
     }
     for trees in [1, 4, 8] {
         let (build_seconds, forest) =

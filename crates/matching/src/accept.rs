@@ -70,6 +70,38 @@ impl Acceptance {
         }
         distance <= self.ratio_bounds[1] * second && distance < threshold(series, u)
     }
+
+    /// Whether there are limits of distances: the ratio is not invalid.
+    pub(crate) fn has_limits(&self) -> bool {
+        self.ratio.is_none() || self.ratio_bounds[0] > 0.0
+    }
+
+    /// The squared distance above which another descriptor does not change the decision: if the
+    /// nearest one is accepted, it does not make it fail; if not, it is not accepted with that one
+    /// as second. Negative if no descriptor does. Needs [`Self::has_limits`].
+    pub(crate) fn limit(&self, nearest: &Nearest) -> f64 {
+        let distance = f64::from(nearest.distance);
+        if self.ratio.is_none() {
+            return distance.min(self.max_distance);
+        }
+        let [least, largest] = self.ratio_bounds;
+        if self.accepts(nearest) {
+            return distance / least;
+        }
+        if nearest.distance == 0 {
+            return -1.0;
+        }
+        // The threshold over the second distance is a power series with positive coefficients, and
+        // therefore below its chord.
+        let part = (2.0 * distance / DIAMETER_SQUARED).min(1.0);
+        let threshold = distance * (least + part * (largest - least)) * (1.0 + 4.0 * MARGIN);
+        threshold.min(self.max_distance)
+    }
+
+    /// Maximum squared distance.
+    pub(crate) fn max_distance(&self) -> f64 {
+        self.max_distance
+    }
 }
 
 /// The threshold of the ratio test for `u` of the second distance.
@@ -128,6 +160,35 @@ mod tests {
                     }
                 }
             }
+        }
+    }
+
+    #[test]
+    fn descriptors_beyond_the_limit_do_not_change_the_decision() {
+        for max_ratio in [None, Some(0.3), Some(0.8), Some(0.95), Some(1.0)] {
+            for max_angle_rad in [None, Some(0.0), Some(0.7), Some(4.0)] {
+                let options = Options { max_ratio, max_angle_rad, ..Options::default() };
+                let acceptance = Acceptance::new(&options);
+                assert!(acceptance.has_limits());
+                for distance in (0..9_000_000).step_by(49_999).chain([1, 2, 3, 524_288]) {
+                    for second in [distance, distance + 1, 2 * distance + 3, u32::MAX] {
+                        let nearest = nearest(distance, second);
+                        let limit = acceptance.limit(&nearest);
+                        let first = if limit < 0.0 { 0 } else { limit as u32 + 1 };
+                        for other in [first, first + 1, first + first / 3, u32::MAX] {
+                            let mut both = nearest;
+                            both.update(1, other);
+                            let (before, after) =
+                                (acceptance.accepts(&nearest), acceptance.accepts(&both));
+                            assert_eq!(before, after, "{options:?} {both:?}");
+                        }
+                    }
+                }
+            }
+        }
+        for ratio in [0.0, -1.0, 1.5, f64::NAN] {
+            let options = Options { max_ratio: Some(ratio), ..Options::default() };
+            assert!(!Acceptance::new(&options).has_limits());
         }
     }
 

@@ -34,7 +34,7 @@ pub use tiepoint_features as features;
 /// The kernels for SIFT descriptors.
 pub mod sift {
     pub use crate::brute::{Isa, NearestBothWays, nearest, nearest_on};
-    pub use crate::match_sift::{match_prepared, select};
+    pub use crate::match_sift::{match_prepared, match_prepared_on, select};
     pub use crate::matches::Nearest;
     pub use crate::prepared::Prepared;
 }

@@ -1,7 +1,7 @@
 //! Matching of image pairs with SIFT descriptors.
 
 use crate::accept::Acceptance;
-use crate::brute::{Isa, NearestBothWays, nearest};
+use crate::brute::{Isa, NearestBothWays, nearest, nearest_on};
 use crate::matches::{Match, Nearest};
 use crate::options::{Method, Options};
 use crate::prepared::Prepared;
@@ -21,15 +21,16 @@ pub fn match_prepared(a: &Prepared, b: &Prepared, options: &Options) -> Vec<Matc
                 of_b: forest_a.nearest_of(forest_b, checks),
             }
         }
-        _ => return match_by_brute_force(a, b, options),
+        _ => return match_prepared_on(Isa::best(), a, b, options),
     };
     select(&found, options)
 }
 
-/// Exact matching: with pruning, which gives the same matches faster, if it applies.
-fn match_by_brute_force(a: &Prepared, b: &Prepared, options: &Options) -> Vec<Match> {
-    let pruned = if options.mutual { match_pruned(Isa::best(), a, b, options) } else { None };
-    pruned.unwrap_or_else(|| select(&nearest(a, b), options))
+/// Exact matching on a given instruction set, for tests and measurements: with pruning, which gives
+/// the same matches faster, if it applies.
+pub fn match_prepared_on(isa: Isa, a: &Prepared, b: &Prepared, options: &Options) -> Vec<Match> {
+    let pruned = if options.mutual { match_pruned(isa, a, b, options) } else { None };
+    pruned.unwrap_or_else(|| select(&nearest_on(isa, a, b), options))
 }
 
 /// Preemptive matching: whether the leading features have too few matches.

@@ -43,12 +43,13 @@ impl Nearest {
     /// No neighbour.
     pub const NONE: Nearest = Nearest { index: u32::MAX, distance: u32::MAX, second: u32::MAX };
 
-    /// Updates the neighbours with a candidate. The order of candidates does not matter.
+    /// Updates the neighbours with a candidate. Neither the order of candidates nor repetitions
+    /// matter.
     #[inline]
     pub(crate) fn update(&mut self, index: u32, distance: u32) {
         if (distance, index) < (self.distance, self.index) {
             *self = Nearest { index, distance, second: self.distance };
-        } else if distance < self.second {
+        } else if distance < self.second && index != self.index {
             self.second = distance;
         }
     }

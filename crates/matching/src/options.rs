@@ -125,7 +125,9 @@ const CHECK_DOUBLING_NS: f64 = 48.0;
 ///
 /// With 1024 leading features, 1/64 of the work, the default rejected none of 1,278 verified pairs
 /// of five data sets. A minimum of 4 matches rejected pairs with up to 23 inliers, and 256 leading
-/// features rejected pairs with up to 387 inliers (`bench/matching.py preempt`).
+/// features rejected pairs with up to 387 inliers (`bench/matching.py preempt`). Of the 227
+/// verified pairs of the set lund it rejects one with 21 inliers, and of 179 others only 18: it is
+/// off.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PreemptiveMatching {
     /// Minimum number of matches among the leading features.

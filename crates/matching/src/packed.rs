@@ -14,8 +14,6 @@ pub(crate) trait Vectors<const G: usize> {
     fn len(&self) -> usize;
     /// The four bytes of group `group` of vector `index`, as a little-endian word.
     fn word(&self, index: usize, group: usize) -> u32;
-    /// `|x|²` of vector `index`.
-    fn square(&self, index: usize) -> i32;
 }
 
 /// Sixteen vectors, `[group][vector]`, each group of four bytes as a little-endian word.
@@ -28,29 +26,39 @@ pub(crate) struct Panel<const G: usize>(pub(crate) [[u32; PANEL]; G]);
 pub(crate) struct Packed<const G: usize> {
     pub(crate) len: usize,
     pub(crate) panels: Vec<Panel<G>>,
-    /// `|x|²` of every vector.
-    pub(crate) squares: Vec<i32>,
-    /// Sum of the entries of every vector.
-    pub(crate) sums: Vec<i32>,
+    /// `|x|² − 256 Σx` of every vector.
+    pub(crate) terms: Vec<i32>,
 }
 
 impl<const G: usize> Packed<G> {
-    /// Packs `len` vectors. `vector(i)` returns the groups of four bytes of vector `i`.
-    pub(crate) fn new(len: usize, mut vector: impl FnMut(usize) -> [[u8; 4]; G]) -> Self {
+    /// Packs `len` vectors. `vector(i)` returns the groups of four bytes of vector `i`. The bytes
+    /// of padding vectors are `padding`.
+    pub(crate) fn new(
+        len: usize,
+        padding: u8,
+        mut vector: impl FnMut(usize) -> [[u8; 4]; G],
+    ) -> Self {
         let count = len.div_ceil(PANEL).next_multiple_of(TILE);
-        let mut panels = vec![Panel([[0; PANEL]; G]); count];
-        let (mut squares, mut sums) = (Vec::with_capacity(len), Vec::with_capacity(len));
+        let padding = u32::from_le_bytes([padding; 4]);
+        let mut panels = vec![Panel([[padding; PANEL]; G]); count];
+        let mut terms = Vec::with_capacity(len);
         for index in 0..len {
             let vector = vector(index);
             let panel = &mut panels[index / PANEL];
             for (words, bytes) in panel.0.iter_mut().zip(&vector) {
                 words[index % PANEL] = u32::from_le_bytes(*bytes);
             }
-            squares.push(square(vector.as_flattened()));
-            sums.push(vector.as_flattened().iter().map(|&x| i32::from(x)).sum());
+            let term = |&x: &u8| i32::from(x) * (i32::from(x) - 256);
+            terms.push(vector.as_flattened().iter().map(term).sum());
         }
-        Packed { len, panels, squares, sums }
+        Packed { len, panels, terms }
     }
+}
+
+/// `|x − 128|²` for `|x|² − 256 Σx`.
+#[inline(always)]
+pub(crate) fn centred_square<const G: usize>(term: i32) -> i32 {
+    term + 4 * G as i32 * 128 * 128
 }
 
 impl<const G: usize> Vectors<G> for Packed<G> {
@@ -61,12 +69,4 @@ impl<const G: usize> Vectors<G> for Packed<G> {
     fn word(&self, index: usize, group: usize) -> u32 {
         self.panels[index / PANEL].0[group][index % PANEL]
     }
-    fn square(&self, index: usize) -> i32 {
-        self.squares[index]
-    }
-}
-
-/// `|x|²` of a vector.
-pub(crate) fn square(bytes: &[u8]) -> i32 {
-    bytes.iter().map(|&x| i32::from(x) * i32::from(x)).sum()
 }

@@ -8,7 +8,7 @@ use tiepoint_features::{Keypoint, SiftDescriptor};
 
 use crate::compressed::CompressedDescriptors;
 use crate::forest::{Forest, ForestOptions};
-use crate::packed::{Packed, Vectors, square};
+use crate::packed::{Packed, Vectors};
 
 /// Number of groups of four bytes in a descriptor.
 const GROUPS: usize = 32;
@@ -61,14 +61,9 @@ impl Prepared {
         self.descriptors.is_empty()
     }
 
-    /// The full descriptors with the given indices, packed.
-    pub(crate) fn pack(&self, indices: &[u32]) -> Packed<GROUPS> {
-        Packed::new(indices.len(), |i| groups(&self.descriptors[indices[i] as usize]))
-    }
-
     /// All full descriptors, packed.
-    pub(crate) fn pack_all(&self) -> Packed<GROUPS> {
-        Packed::new(self.len(), |i| groups(&self.descriptors[i]))
+    pub(crate) fn pack(&self) -> Packed<GROUPS> {
+        Packed::new(self.len(), 0, |i| groups(&self.descriptors[i]))
     }
 }
 
@@ -95,9 +90,6 @@ impl Vectors<GROUPS> for Prepared {
     fn word(&self, index: usize, group: usize) -> u32 {
         u32::from_le_bytes(self.descriptors[index].as_chunks::<4>().0[group])
     }
-    fn square(&self, index: usize) -> i32 {
-        square(&self.descriptors[index])
-    }
 }
 
 #[cfg(test)]
@@ -110,7 +102,7 @@ mod tests {
         let descriptors: Vec<SiftDescriptor> =
             (0..37u32).map(|i| std::array::from_fn(|k| (i * 131 + k as u32 * 7) as u8)).collect();
         let mut prepared = Prepared::new(&descriptors);
-        let packed = prepared.pack_all();
+        let packed = prepared.pack();
         assert_eq!((prepared.len(), packed.panels.len()), (37, 4));
         for (i, descriptor) in descriptors.iter().enumerate() {
             let bytes = |vectors: &dyn Vectors<GROUPS>| -> Vec<u8> {
@@ -118,14 +110,9 @@ mod tests {
             };
             assert_eq!(bytes(&packed), descriptor);
             assert_eq!(bytes(&prepared), descriptor);
-            assert_eq!(packed.square(i), prepared.square(i));
-            assert_eq!(packed.sums[i], descriptor.iter().map(|&x| i32::from(x)).sum::<i32>());
+            let term = |&x: &u8| i32::from(x).pow(2) - 256 * i32::from(x);
+            assert_eq!(packed.terms[i], descriptor.iter().map(term).sum::<i32>());
         }
-        let some = prepared.pack(&[36, 5]);
-        assert_eq!(
-            (some.len, some.word(0, 7), some.word(1, 31)),
-            (2, packed.word(36, 7), packed.word(5, 31))
-        );
         prepared.grow_forest(&ForestOptions::default());
         let found =
             prepared.forest.unwrap().nearest(&descriptors, crate::forest::Checks::Total(1000));

@@ -4,9 +4,13 @@ use std::fmt;
 
 use tiepoint_features::SiftDescriptor;
 
-use super::kernel::{RowLanes, Totals, compare_all};
+use super::kernel::compare_all;
 use super::lanes::Portable;
+use super::screen::for_each_candidate;
+#[cfg(target_arch = "x86_64")]
+use super::x86;
 use crate::distance::squared_distance;
+use crate::matches::Nearest;
 use crate::packed::{Packed, Vectors};
 
 /// An instruction set that the CPU supports. Values of other sets cannot be constructed.
@@ -89,33 +93,61 @@ impl Isa {
         match self.0 {
             #[cfg(target_arch = "x86_64")]
             // SAFETY: an `Isa` is only constructed if the CPU supports it, and these include AVX2.
-            Kind::Avx512Vnni | Kind::AvxVnni | Kind::Avx2 => unsafe {
-                super::x86::squared_distance(a, b)
-            },
+            Kind::Avx512Vnni | Kind::AvxVnni | Kind::Avx2 => unsafe { x86::squared_distance(a, b) },
             Kind::Portable => squared_distance(a, b),
         }
     }
 
-    /// Compares all rows `a` with all columns `b`. Passes the result of each row to `finish_row`,
-    /// in order, and returns the results of the columns.
+    /// The nearest neighbours of all rows `a` and of all columns `b`.
     pub(super) fn compare_all<const G: usize>(
         self,
         a: &impl Vectors<G>,
         b: &Packed<G>,
-        finish_row: impl FnMut(usize, RowLanes<'_>),
-    ) -> Totals {
+    ) -> [Vec<Nearest>; 2] {
         match self.0 {
             #[cfg(target_arch = "x86_64")]
             // SAFETY: an `Isa` is only constructed if the CPU supports it.
-            Kind::Avx512Vnni => unsafe { super::x86::compare_all_avx512_vnni(a, b, finish_row) },
+            Kind::Avx512Vnni => unsafe { x86::compare_all_avx512_vnni(a, b) },
             #[cfg(target_arch = "x86_64")]
             // SAFETY: an `Isa` is only constructed if the CPU supports it.
-            Kind::AvxVnni => unsafe { super::x86::compare_all_avx_vnni(a, b, finish_row) },
+            Kind::AvxVnni => unsafe { x86::compare_all_avx_vnni(a, b) },
             #[cfg(target_arch = "x86_64")]
             // SAFETY: an `Isa` is only constructed if the CPU supports it.
-            Kind::Avx2 => unsafe { super::x86::compare_all_avx2(a, b, finish_row) },
+            Kind::Avx2 => unsafe { x86::compare_all_avx2(a, b) },
             // SAFETY: the portable implementation runs on every CPU.
-            Kind::Portable => unsafe { compare_all::<Portable, 4, 4, G>(a, b, finish_row) },
+            Kind::Portable => unsafe { compare_all::<Portable, 4, 4, G>(a, b) },
+        }
+    }
+
+    /// Calls `on_candidate` with every row and column whose score is not below the minimum of the
+    /// row. It returns the row's next minimum, which is not smaller, or `None` to stop. A row gets
+    /// its candidates in ascending order. Returns `None` if it stopped. Columns and rows are
+    /// bounded by [`super::MAX_ENTRY`] and [`super::MAX_SQUARE`].
+    pub(crate) fn for_each_candidate<const G: usize>(
+        self,
+        rows: &impl Vectors<G>,
+        columns: &Packed<G>,
+        min_scores: &mut [i32],
+        on_candidate: impl FnMut(usize, u32, &mut i32) -> Option<()>,
+    ) -> Option<()> {
+        // SAFETY: an `Isa` is only constructed if the CPU supports it; the portable implementation
+        // runs on every CPU.
+        unsafe {
+            match self.0 {
+                #[cfg(target_arch = "x86_64")]
+                Kind::Avx512Vnni => {
+                    x86::for_each_candidate_avx512_vnni(rows, columns, min_scores, on_candidate)
+                }
+                #[cfg(target_arch = "x86_64")]
+                Kind::AvxVnni => {
+                    x86::for_each_candidate_avx_vnni(rows, columns, min_scores, on_candidate)
+                }
+                #[cfg(target_arch = "x86_64")]
+                Kind::Avx2 => x86::for_each_candidate_avx2(rows, columns, min_scores, on_candidate),
+                Kind::Portable => {
+                    for_each_candidate::<Portable, 4, 4, G>(rows, columns, min_scores, on_candidate)
+                }
+            }
         }
     }
 }

@@ -16,7 +16,9 @@
 //! The inner loop is over column tiles, which are read from the second-level cache. The operands of
 //! a tile stay in the first-level cache for all rows of the block.
 
-use super::lanes::Lanes;
+use std::ops::Range;
+
+use super::lanes::KeyLanes;
 use crate::matches::Nearest;
 use crate::packed::{PANEL, Packed, TILE, Vectors};
 
@@ -39,15 +41,15 @@ const MIN_VALUE: i32 = -(1 << 23) + 16_384;
 struct Line([i32; 16]);
 
 /// A buffer of integers that is aligned to cache lines.
-struct Buffer(Vec<Line>);
+pub(super) struct Buffer(Vec<Line>);
 
 impl Buffer {
-    fn new(len: usize, fill: i32) -> Self {
+    pub(super) fn new(len: usize, fill: i32) -> Self {
         Buffer(vec![Line([fill; 16]); len.div_ceil(16)])
     }
 
     #[inline(always)]
-    fn words(&mut self) -> &mut [i32] {
+    pub(super) fn words(&mut self) -> &mut [i32] {
         // SAFETY: a `Line` has the layout of sixteen integers.
         unsafe { std::slice::from_raw_parts_mut(self.0.as_mut_ptr().cast(), self.0.len() * 16) }
     }
@@ -66,41 +68,10 @@ impl Keys {
 }
 
 /// The two largest values so far, and the full index of the largest.
-pub(super) struct Totals {
-    pub(super) first: Vec<i32>,
-    pub(super) index: Vec<i32>,
-    pub(super) second: Vec<i32>,
-}
-
-/// The result of a row: for each lane, the two nearest among the columns of this lane.
-pub(crate) struct RowLanes<'a> {
-    first: &'a [i32],
-    index: &'a [i32],
-    second: &'a [i32],
-    square: i32,
-}
-
-impl RowLanes<'_> {
-    /// For each lane, the nearest column, and the squared distances of the nearest and second
-    /// nearest.
-    pub(crate) fn nearest(&self) -> impl Iterator<Item = Nearest> {
-        let lanes = (0..).zip(self.first).zip(self.index).zip(self.second);
-        lanes.map(|(((lane, first), index), second)| Nearest {
-            index: (index + lane) as u32,
-            distance: distance_of(self.square, *first),
-            second: distance_of(self.square, *second),
-        })
-    }
-
-    /// The nearest neighbours over all lanes.
-    pub(super) fn merged(&self) -> Nearest {
-        let mut merged = Nearest::NONE;
-        for lane in self.nearest() {
-            merged.update(lane.index, lane.distance);
-            merged.second = merged.second.min(lane.second);
-        }
-        if merged.distance == u32::MAX { Nearest::NONE } else { merged }
-    }
+struct Totals {
+    first: Vec<i32>,
+    index: Vec<i32>,
+    second: Vec<i32>,
 }
 
 impl Totals {
@@ -129,6 +100,27 @@ impl Totals {
             *second_key = i32::MIN;
         }
     }
+
+    /// The nearest neighbours of a column, whose values are the squared distances subtracted from
+    /// `constant`.
+    fn nearest_at(&self, at: usize, constant: i32) -> Nearest {
+        let distance = distance_of(constant, self.first[at]);
+        let index = if distance == u32::MAX { u32::MAX } else { self.index[at] as u32 };
+        Nearest { index, distance, second: distance_of(constant, self.second[at]) }
+    }
+
+    /// The nearest neighbours of a row, over its lanes.
+    fn nearest(&self, lanes: Range<usize>, constant: i32) -> Nearest {
+        let mut merged = Nearest::NONE;
+        for (lane, at) in (0..).zip(lanes) {
+            let Nearest { index, distance, second } = self.nearest_at(at, constant);
+            if distance != u32::MAX {
+                merged.update(index + lane, distance);
+                merged.second = merged.second.min(second);
+            }
+        }
+        merged
+    }
 }
 
 /// The value in a key `256 value − index`.
@@ -138,21 +130,20 @@ fn value_of(key: i32) -> i32 {
 }
 
 /// The squared distance `constant − value`; `u32::MAX` if the value is that of padding.
-pub(super) fn distance_of(constant: i32, value: i32) -> u32 {
+fn distance_of(constant: i32, value: i32) -> u32 {
     if value < MIN_VALUE { u32::MAX } else { (constant - value) as u32 }
 }
 
 /// Compares all rows `a` with all columns `b`, in tiles of `R` rows by `C` vectors of columns.
-/// Passes the result of each row to `finish_row`, in order, and returns the results of the columns.
+/// Returns the nearest neighbours of the rows and of the columns.
 ///
 /// # Safety
 /// The CPU supports the instruction set of `L`.
 #[inline(always)]
-pub(super) unsafe fn compare_all<L: Lanes, const R: usize, const C: usize, const G: usize>(
+pub(super) unsafe fn compare_all<L: KeyLanes, const R: usize, const C: usize, const G: usize>(
     a: &impl Vectors<G>,
     b: &Packed<G>,
-    mut finish_row: impl FnMut(usize, RowLanes<'_>),
-) -> Totals {
+) -> [Vec<Nearest>; 2] {
     const { assert!(ROWS.is_multiple_of(R) && ROWS <= INDICES && INDICES.is_multiple_of(C)) };
     const {
         assert!((C * L::LANES).is_multiple_of(PANEL));
@@ -168,6 +159,7 @@ pub(super) unsafe fn compare_all<L: Lanes, const R: usize, const C: usize, const
     let mut column_constants = Buffer::new(tile, 0);
     let mut column_keys = Keys::new(tile);
     let mut column_totals = Totals::new(tiles * tile);
+    let mut of_rows = Vec::with_capacity(a.len());
 
     for block in (0..a.len()).step_by(ROWS) {
         let rows = ROWS.min(a.len() - block);
@@ -209,36 +201,19 @@ pub(super) unsafe fn compare_all<L: Lanes, const R: usize, const C: usize, const
                 vectors_since_merge = 0;
             }
         }
-        for row in 0..rows {
-            let lanes = row * L::LANES..(row + 1) * L::LANES;
-            let Totals { first, index, second } = &row_totals;
-            let (first, index, second) =
-                (&first[lanes.clone()], &index[lanes.clone()], &second[lanes]);
-            finish_row(
-                block + row,
-                RowLanes { first, index, second, square: a.square(block + row) },
-            );
+        for (row, constant) in row_constants.iter().enumerate().take(rows) {
+            let square = (constant - row as i32) >> INDEX_BITS;
+            of_rows.push(row_totals.nearest(row * L::LANES..(row + 1) * L::LANES, square));
         }
     }
-    column_totals
-}
-
-/// The nearest neighbours of the columns.
-pub(super) fn nearest_of_columns<const G: usize>(b: &Packed<G>, totals: &Totals) -> Vec<Nearest> {
-    (0..b.len)
-        .map(|column| {
-            let constant = b.squares[column] - 256 * b.sums[column];
-            let distance = distance_of(constant, totals.first[column]);
-            let index = if distance == u32::MAX { u32::MAX } else { totals.index[column] as u32 };
-            Nearest { index, distance, second: distance_of(constant, totals.second[column]) }
-        })
-        .collect()
+    let of_column = |column: usize| column_totals.nearest_at(column, b.terms[column]);
+    [of_rows, (0..b.len).map(of_column).collect()]
 }
 
 /// Packs `groups` groups of `R` rows as `[group][step][row]`, and the constants that column keys
 /// subtract from the product: 256 |a|² plus the number of the row.
 #[inline(always)]
-unsafe fn pack_rows<L: Lanes, const R: usize, const G: usize>(
+unsafe fn pack_rows<L: KeyLanes, const R: usize, const G: usize>(
     a: &impl Vectors<G>,
     block: usize,
     groups: usize,
@@ -248,10 +223,13 @@ unsafe fn pack_rows<L: Lanes, const R: usize, const G: usize>(
     for (row, constant) in constants.iter_mut().enumerate().take(groups * R) {
         let at = row / R * R * G * L::STEPS + row % R;
         let exists = block + row < a.len();
+        let mut squares = 0;
         for group in 0..G {
             let words = if exists {
+                let word = a.word(block + row, group);
+                squares += square(&word.to_le_bytes());
                 // SAFETY: the caller guarantees the instruction set.
-                unsafe { L::row_words(a.word(block + row, group)) }
+                unsafe { L::row_words(word) }
             } else {
                 [0; 2]
             };
@@ -259,7 +237,7 @@ unsafe fn pack_rows<L: Lanes, const R: usize, const G: usize>(
                 operands[at + (group * L::STEPS + part) * R] = *word;
             }
         }
-        let base = if exists { a.square(block + row) << INDEX_BITS } else { PADDING };
+        let base = if exists { squares << INDEX_BITS } else { PADDING };
         *constant = base + row as i32;
     }
 }
@@ -267,17 +245,15 @@ unsafe fn pack_rows<L: Lanes, const R: usize, const G: usize>(
 /// Computes the constants that row keys subtract from the product, for the columns from `at` on:
 /// 256 (|b|² − 256 Σb) plus the number of the column vector.
 #[inline(always)]
-fn fill_column_constants<L: Lanes, const G: usize>(
+fn fill_column_constants<L: KeyLanes, const G: usize>(
     b: &Packed<G>,
     at: usize,
     vectors_since_merge: usize,
     constants: &mut [i32],
 ) {
-    let squares = b.squares.get(at..).unwrap_or_default();
-    let sums = b.sums.get(at..).unwrap_or_default();
     constants.fill(PADDING);
-    for ((constant, square), sum) in constants.iter_mut().zip(squares).zip(sums) {
-        *constant = (square - 256 * sum) << INDEX_BITS;
+    for (constant, term) in constants.iter_mut().zip(&b.terms[at..]) {
+        *constant = term << INDEX_BITS;
     }
     for (c, constants) in constants.chunks_mut(L::LANES).enumerate() {
         for constant in constants {
@@ -290,10 +266,11 @@ fn fill_column_constants<L: Lanes, const G: usize>(
 ///
 /// # Safety
 /// The CPU supports the instruction set. `rows` holds `[step][R]`, `columns` the operands of `C`
-/// vectors as [`Lanes::columns`] gives them, `row_keys` `[R][lane]` each, `column_constants` and
-/// `column_keys` `[C][lane]` each; all but the constants of rows are vector-aligned.
+/// vectors as [`super::lanes::Lanes::columns`] gives them, `row_keys` `[R][lane]` each,
+/// `column_constants` and `column_keys` `[C][lane]` each; all but the constants of rows are
+/// vector-aligned.
 #[inline(always)]
-unsafe fn multiply_and_update_keys<L: Lanes, const R: usize, const C: usize, const G: usize>(
+unsafe fn multiply_and_update_keys<L: KeyLanes, const R: usize, const C: usize, const G: usize>(
     rows: *const i32,
     row_constants: &[i32],
     row_keys: [*mut i32; 2],
@@ -345,4 +322,10 @@ unsafe fn multiply_and_update_keys<L: Lanes, const R: usize, const C: usize, con
             L::store(column_keys[1].add(c * L::LANES), column_second[c]);
         }
     }
+}
+
+/// `|x|²` of bytes.
+#[inline(always)]
+fn square(bytes: &[u8]) -> i32 {
+    bytes.iter().map(|&x| i32::from(x) * i32::from(x)).sum()
 }

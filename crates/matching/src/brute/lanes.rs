@@ -5,16 +5,18 @@ use crate::packed::{PANEL, Panel};
 /// Row operands are the bytes of descriptor `a` as `a − 128`, which fit into `i8`.
 pub(super) const OFFSET: i32 = 128;
 
-/// The vector operations of an instruction set.
+/// The dot products of an instruction set, with the operations of both kernels.
 ///
 /// # Safety
 /// The CPU must support the instruction set for every method.
 pub(super) trait Lanes {
     /// The register.
     type Vector: Copy;
-    /// Number of integers of a vector: 4, 8 or 16.
+    /// Number of lanes of a vector, one for each column: 4, 8 or 16.
     const LANES: usize;
-    /// Number of multiply-adds per group of four bytes: one, or two for instructions on two 16-bit
+    /// Number of 32-bit words of a vector.
+    const WORDS: usize;
+    /// Number of multiply-adds per group of four bytes: one, or two for instructions on two
     /// integers.
     const STEPS: usize;
 
@@ -26,6 +28,7 @@ pub(super) trait Lanes {
 
     unsafe fn load(from: *const i32) -> Self::Vector;
     unsafe fn store(to: *mut i32, v: Self::Vector);
+    /// A vector of equal words.
     unsafe fn splat(x: i32) -> Self::Vector;
     /// `sum` plus the dot product of the column and row operands of a step, per lane.
     unsafe fn multiply_add(
@@ -35,9 +38,33 @@ pub(super) trait Lanes {
     ) -> Self::Vector;
     /// Wrapping difference.
     unsafe fn subtract(x: Self::Vector, y: Self::Vector) -> Self::Vector;
+    unsafe fn max(x: Self::Vector, y: Self::Vector) -> Self::Vector;
+}
+
+/// Lanes of 32 bits, with the operations on keys.
+///
+/// # Safety
+/// The CPU must support the instruction set for every method.
+pub(super) trait KeyLanes: Lanes {
     unsafe fn shift_left<const BITS: u32>(x: Self::Vector) -> Self::Vector;
     unsafe fn min(x: Self::Vector, y: Self::Vector) -> Self::Vector;
-    unsafe fn max(x: Self::Vector, y: Self::Vector) -> Self::Vector;
+}
+
+/// Lanes of 32 or 16 bits, with the comparison of scores.
+///
+/// # Safety
+/// The CPU must support the instruction set for every method.
+pub(super) trait ScoreLanes: Lanes {
+    /// The result of a comparison.
+    type Mask: Copy;
+    /// Whether lanes have 16 bits.
+    const IS_NARROW: bool;
+
+    unsafe fn is_above(x: Self::Vector, y: Self::Vector) -> Self::Mask;
+    unsafe fn or(x: Self::Mask, y: Self::Mask) -> Self::Mask;
+    unsafe fn is_any(mask: Self::Mask) -> bool;
+    /// One bit for each lane.
+    unsafe fn bits(mask: Self::Mask) -> u32;
 }
 
 /// Converts every group of four bytes to two words of two 16-bit integers: the even and the odd
@@ -79,6 +106,7 @@ fn zip(x: [i32; LANES], y: [i32; LANES], f: impl Fn(i32, i32) -> i32) -> [i32; L
 impl Lanes for Portable {
     type Vector = [i32; LANES];
     const LANES: usize = LANES;
+    const WORDS: usize = LANES;
     const STEPS: usize = 2;
 
     #[inline(always)]
@@ -118,6 +146,13 @@ impl Lanes for Portable {
         zip(x, y, i32::wrapping_sub)
     }
     #[inline(always)]
+    unsafe fn max(x: Self::Vector, y: Self::Vector) -> Self::Vector {
+        zip(x, y, i32::max)
+    }
+}
+
+impl KeyLanes for Portable {
+    #[inline(always)]
     unsafe fn shift_left<const BITS: u32>(x: Self::Vector) -> Self::Vector {
         x.map(|x| x << BITS)
     }
@@ -125,8 +160,27 @@ impl Lanes for Portable {
     unsafe fn min(x: Self::Vector, y: Self::Vector) -> Self::Vector {
         zip(x, y, i32::min)
     }
+}
+
+impl ScoreLanes for Portable {
+    /// -1 where true.
+    type Mask = [i32; LANES];
+    const IS_NARROW: bool = false;
+
     #[inline(always)]
-    unsafe fn max(x: Self::Vector, y: Self::Vector) -> Self::Vector {
-        zip(x, y, i32::max)
+    unsafe fn is_above(x: Self::Vector, y: Self::Vector) -> Self::Mask {
+        zip(x, y, |x, y| -i32::from(x > y))
+    }
+    #[inline(always)]
+    unsafe fn or(x: Self::Mask, y: Self::Mask) -> Self::Mask {
+        zip(x, y, |x, y| x | y)
+    }
+    #[inline(always)]
+    unsafe fn is_any(mask: Self::Mask) -> bool {
+        mask.into_iter().fold(0, |any, lane| any | lane) != 0
+    }
+    #[inline(always)]
+    unsafe fn bits(mask: Self::Mask) -> u32 {
+        (0..).zip(mask).fold(0, |bits, (lane, is)| bits | (is as u32 & 1) << lane)
     }
 }

@@ -5,8 +5,10 @@
 //! values of its row and of its column: one product serves both directions, and the N × N matrix is
 //! not stored.
 //!
-//! - `kernel` is the loop over tiles, generic over the trait [`Lanes`].
-//! - `lanes` has the trait and its portable implementation.
+//! - `kernel` is the loop over tiles, generic over the trait `KeyLanes`.
+//! - `screen` is the loop over tiles of compressed descriptors, which only finds the pairs that may
+//!   be near each other, generic over the trait `ScoreLanes`.
+//! - `lanes` has the traits and their portable implementation.
 //! - `x86` has the implementations for AVX-512 VNNI, AVX-VNNI and AVX2.
 //! - `isa` selects the implementation at run time. All give the same result, because the arithmetic
 //!   is exact in integers.
@@ -14,17 +16,16 @@
 mod isa;
 mod kernel;
 mod lanes;
+mod screen;
 #[cfg(target_arch = "x86_64")]
 mod x86;
 
 use crate::matches::Nearest;
-use crate::packed::{Packed, Vectors};
 use crate::prepared::Prepared;
 
 pub use isa::Isa;
 pub(crate) use isa::Kind;
-pub(crate) use kernel::RowLanes;
-use kernel::nearest_of_columns;
+pub(crate) use screen::{MAX_ENTRY, MAX_SQUARE};
 
 /// The nearest neighbours between the descriptors of two images, in both directions.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -43,21 +44,8 @@ pub fn nearest(a: &Prepared, b: &Prepared) -> NearestBothWays {
 
 /// As [`nearest`] on a given instruction set, for tests and measurements.
 pub fn nearest_on(isa: Isa, a: &Prepared, b: &Prepared) -> NearestBothWays {
-    let b = b.pack_all();
-    let mut of_a = Vec::with_capacity(a.len());
-    let of_b = compare(isa, a, &b, |_, row| of_a.push(row.merged()));
+    let [of_a, of_b] = isa.compare_all(a, &b.pack());
     NearestBothWays { of_a, of_b }
-}
-
-/// Compares all rows `a` with all columns `b`. Passes the result of each row to `finish_row`, in
-/// order, and returns the nearest neighbours of the columns.
-pub(crate) fn compare<const G: usize>(
-    isa: Isa,
-    a: &impl Vectors<G>,
-    b: &Packed<G>,
-    finish_row: impl FnMut(usize, RowLanes<'_>),
-) -> Vec<Nearest> {
-    nearest_of_columns(b, &isa.compare_all(a, b, finish_row))
 }
 
 #[cfg(test)]

@@ -1,3 +1,4 @@
+use proptest::prelude::*;
 use tiepoint_features::SiftDescriptor;
 use tiepoint_simd::Rng;
 
@@ -56,19 +57,18 @@ fn images(len: [usize; 2], seed: u64) -> [Vec<SiftDescriptor>; 2] {
     [a, b]
 }
 
-/// Compares the matches with those of brute force on every instruction set. Returns the number of
-/// instruction sets for which pruning applied.
-fn check(a: &[SiftDescriptor], b: &[SiftDescriptor], options: &Options) -> usize {
+/// Compares the matches with those of brute force on every instruction set.
+fn check(a: &[SiftDescriptor], b: &[SiftDescriptor], options: &Options) {
     let (a, b) = (Prepared::new(a), Prepared::new(b));
-    let mut num_pruned = 0;
     for isa in Isa::supported() {
         let expected = select(&nearest_on(isa, &a, &b), options);
+        let acceptance = Acceptance::new(options);
+        let found = match_with_limits(isa, &a, &b, &acceptance, usize::MAX);
+        assert_eq!(found.as_ref(), Some(&expected), "{isa}");
         if let Some(found) = match_pruned(isa, &a, &b, options) {
             assert_eq!(found, expected, "{isa}");
-            num_pruned += 1;
         }
     }
-    num_pruned
 }
 
 #[test]
@@ -79,8 +79,7 @@ fn pruning_gives_the_matches_of_brute_force() {
             [(Some(0.8), Some(0.7)), (Some(0.6), None), (Some(0.9), Some(0.4)), (None, Some(0.3))]
         {
             let options = Options { max_ratio, max_angle_rad, ..Options::default() };
-            let num_pruned = check(&a, &b, &options);
-            assert!(num_pruned > 0 || max_ratio != Some(0.8), "pruning did not apply");
+            check(&a, &b, &options);
         }
     }
 }
@@ -98,7 +97,70 @@ fn pruning_of_any_descriptors() {
         a[..200].copy_from_slice(&b[100..300]);
         check(&a, &b, &Options::default());
     }
-    let same = vec![[7; 128]; 600];
-    check(&same, &same, &Options::default());
-    check(&same, &vec![[0; 128]; 600], &Options::default());
+    for (a, b) in [([7; 128], [7; 128]), ([7; 128], [0; 128]), ([255; 128], [0; 128])] {
+        for max_ratio in [Some(0.8), Some(1.0), None] {
+            let options = Options { max_ratio, max_angle_rad: None, ..Options::default() };
+            check(&vec![a; 600], &vec![b; 600], &options);
+            check(&[a], &vec![b; 600], &options);
+            check(&[a], &[b], &options);
+        }
+    }
+    check(&[], &[], &Options::default());
+}
+
+#[test]
+fn equal_descriptors_take_few_distances_and_too_many_end() {
+    let same = Prepared::new(&vec![[7; 128]; 600]);
+    let acceptance = Acceptance::new(&Options::default());
+    for isa in Isa::supported() {
+        let found = |distances| match_with_limits(isa, &same, &same, &acceptance, distances);
+        assert_eq!(found(4 * 600), Some(vec![]), "{isa}");
+        assert_eq!(found(600), None, "{isa}");
+        // Brute force takes less time for few columns.
+        assert_eq!(
+            match_pruned(isa, &same, &Prepared::new(&[[7; 128]]), &Options::default()),
+            None
+        );
+    }
+}
+
+#[test]
+fn many_rows_and_repeated_facades() {
+    let [a, b] = images([20_000, 300], 4);
+    check(&a, &b, &Options::default());
+    // Thirty windows, seen 20 times in one image and 30 times in the other.
+    let mut random = stream(5, 0);
+    let windows: Vec<SiftDescriptor> = (0..30).map(|_| descriptor(&mut random)).collect();
+    let mut seen = |times: usize, noise: usize| -> Vec<SiftDescriptor> {
+        (0..30 * times).map(|k| similar(&windows[k % 30], noise, &mut random)).collect()
+    };
+    let (a, b) = (seen(20, 3), seen(30, 10));
+    check(&a, &b, &Options::default());
+    check(&a, &b, &Options { max_ratio: None, ..Options::default() });
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(64))]
+    #[test]
+    fn pruning_of_any_content(
+        seed in any::<u64>(),
+        rows in 1_usize..40,
+        columns in 1_usize..90,
+        levels in 2_usize..=256,
+        noise in 0_usize..60,
+        max_ratio in prop::option::of(0.3_f64..=1.0),
+        max_angle_rad in prop::option::of(0.05_f64..3.0),
+    ) {
+        let mut random = stream(seed, 0);
+        let [mut a, b] = images([rows, columns], seed);
+        for row in &mut a {
+            if random.below(2) == 0 {
+                let level = |_| (random.below(levels) * 255 / (levels - 1)) as u8;
+                *row = std::array::from_fn(level);
+            } else {
+                *row = similar(&b[random.below(columns)], noise, &mut random);
+            }
+        }
+        check(&a, &b, &Options { max_ratio, max_angle_rad, ..Options::default() });
+    }
 }
