@@ -113,7 +113,7 @@ fn known_calibrations_of_single_cameras_are_priors() {
     let report = tiepoint_in(dir.path(), &format!("{line} --json")).done().json();
     assert_eq!(report["models"][0]["registered"], 8);
     let found = params(report);
-    let left = vec![330.0, 330.0, 160.0, 120.0];
+    let left = [330.0, 330.0, 160.0, 120.0];
     // The distortion is refined, too.
     for index in [0, 2] {
         let (model, params) = &found[index];
