@@ -378,7 +378,8 @@ def kitti_case(name, scratch, options):
     k = [float(value) for value in first]
     # The centre of the first pixel is (0, 0) in KITTI's files.
     known = ",".join(map(repr, (k[0], k[5], k[2] + 0.5, k[6] + 0.5)))
-    words = ["--intrinsics", known, "--refine", "none", "--pairs", "sequential:5", "--threads", options.threads]
+    words = ["--intrinsics", known, "--refine", "none", "--pairs", "sequential:5"]
+    words += ["--threads", options.threads]
     tiepoint("reconstruct", photos, "-o", workspace, *words)
     model = pycolmap.Reconstruction(workspace / "sparse/0")
     poses = np.loadtxt(folder / "poses.txt").reshape(-1, 3, 4)

@@ -232,8 +232,8 @@ fn add_camera(
     Ok(Some(key))
 }
 
-/// What is refined of a camera. The images of a local adjustment determine the intrinsics too weakly
-/// if the camera has other images.
+/// What is refined of a camera. The images of a local adjustment determine the intrinsics too
+/// weakly if the camera has other images.
 fn intrinsics_to_refine(
     context: &TermContext,
     options: &AdjustOptions,

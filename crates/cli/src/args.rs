@@ -337,10 +337,10 @@ pub(crate) struct Cameras {
     )]
     pub(crate) intrinsics: Option<NumberList>,
     /// Known intrinsics of single cameras, as with --intrinsics. FILE is COLMAP's cameras.txt,
-    /// OpenCV's or ROS's YAML, Kalibr's camchain, KITTI's calib.txt or calib_cam_to_cam.txt, each with its
-    /// own pixel centre. With a PATTERN it is for the folders or photos that match (`*` any
-    /// characters, `?` one), so that `*=FILE` is for all; #CAMERA is the name of the camera in the
-    /// file, as `left=calib.txt#P2`. Without a pattern the cameras of the file are those of the
+    /// OpenCV's or ROS's YAML, Kalibr's camchain, KITTI's calib.txt or calib_cam_to_cam.txt, each
+    /// with its own pixel centre. With a PATTERN it is for the folders or photos that match (`*`
+    /// any characters, `?` one), so that `*=FILE` is for all; #CAMERA is the name of the camera in
+    /// the file, as `left=calib.txt#P2`. Without a pattern the cameras of the file are those of the
     /// folders, by name (also camera_name, topic, and the name of a file of one camera) or in their
     /// order. `@WxH` behind `#` or `#CAMERA` states the image size of a file that has none. A
     /// calibration of the size of the stored photo is turned as EXIF says. May be given several

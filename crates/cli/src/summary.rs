@@ -92,14 +92,8 @@ fn stages(report: &Report) -> String {
         for note in &map.notes {
             line(format_args!("          {note}"));
         }
-        for lens in calibrations(report).into_iter().chain(uncertain_focal_lengths(report)) {
-            line(format_args!("lens      {lens}"));
-        }
-        let shutters = report.models.first().into_iter().flat_map(|model| &model.cameras);
-        for (camera, readout_s) in
-            shutters.filter_map(|camera| Some((camera.id, camera.readout_s?)))
-        {
-            line(format_args!("shutter   camera {camera}: readout time {:.2} ms", 1e3 * readout_s));
+        for text in cameras(report) {
+            line(format_args!("{text}"));
         }
         for scale in report.models.first().iter().filter_map(|model| model.scale.as_ref()) {
             line(format_args!("scale     {}", scale.reason));
@@ -177,6 +171,17 @@ fn stages(report: &Report) -> String {
         ));
     }
     text
+}
+
+/// What mapping found out about the cameras of the first model, a line each.
+fn cameras(report: &Report) -> Vec<String> {
+    let lenses = calibrations(report).into_iter().chain(uncertain_focal_lengths(report));
+    let mut lines: Vec<String> = lenses.map(|lens| format!("lens      {lens}")).collect();
+    let cameras = report.models.first().into_iter().flat_map(|model| &model.cameras);
+    for (id, readout_s) in cameras.filter_map(|camera| Some((camera.id, camera.readout_s?))) {
+        lines.push(format!("shutter   camera {id}: readout time {:.2} ms", 1e3 * readout_s));
+    }
+    lines
 }
 
 /// How far the calibrations of the first model's cameras were refined, a line each.

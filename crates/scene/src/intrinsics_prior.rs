@@ -35,8 +35,8 @@ impl IntrinsicsPrior {
         Self { mean, sigmas }
     }
 
-    /// By how many standard deviations intrinsics of the same camera model differ from the mean, for
-    /// each parameter.
+    /// By how many standard deviations intrinsics of the same camera model differ from the mean,
+    /// for each parameter.
     pub fn deviations(&self, intrinsics: &Intrinsics) -> Vec<f64> {
         let params = intrinsics.params().iter().zip(self.mean.params());
         params.zip(&self.sigmas).map(|((found, mean), sigma)| (found - mean) / sigma).collect()

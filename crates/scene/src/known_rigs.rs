@@ -2,16 +2,8 @@
 
 use tiepoint_geometry::Rigid3;
 
-use crate::{ImageId, Reconstruction, Rig, RigId};
-
-/// Images that the cameras of a rig took at one instant.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct KnownFrame {
-    /// The rig: an index of [`KnownRigs::rigs`].
-    pub rig: RigId,
-    /// The images, at most one of each camera of the rig.
-    pub images: Vec<ImageId>,
-}
+use crate::rig::KnownFrame;
+use crate::{ImageId, Reconstruction, Rig};
 
 /// Rigs with known extrinsics, and their frames: an input of a mapper.
 #[derive(Clone, Debug, Default, PartialEq)]

@@ -2,7 +2,6 @@
 
 use tiepoint_geometry::Rigid3;
 
-pub use crate::known_rigs::KnownFrame;
 use crate::{CameraId, ImageId, RigId};
 
 /// Tolerance between an image's pose and the pose composed of its frame and rig: in radians, and in
@@ -68,4 +67,13 @@ pub fn is_same_pose(one: &Rigid3, other: &Rigid3) -> bool {
     let translation = (one.translation - other.translation).norm();
     rotation_rad <= FRAME_POSE_TOLERANCE
         && translation <= FRAME_POSE_TOLERANCE * (1.0 + one.translation.norm())
+}
+
+/// Images that the cameras of a rig took at one instant.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct KnownFrame {
+    /// The rig: an index of [`crate::KnownRigs::rigs`].
+    pub rig: RigId,
+    /// The images, at most one of each camera of the rig.
+    pub images: Vec<ImageId>,
 }

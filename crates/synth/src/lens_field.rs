@@ -54,8 +54,8 @@ impl LensField {
         Self { size: Vector2::new(f64::from(width), f64::from(height)), modes }
     }
 
-    /// Displaces the keypoints of a model by a random field for each camera, with a root mean square
-    /// of `rms_px` over the image.
+    /// Displaces the keypoints of a model by a random field for each camera, with a root mean
+    /// square of `rms_px` over the image.
     pub fn displace_keypoints(model: &mut Reconstruction, rms_px: f64, seed: u64) {
         let sample = |(id, camera): (CameraId, &Camera)| {
             let mut rng = Rng::stream(seed, &[34, id.index() as u64]);

@@ -365,7 +365,7 @@ mod tests {
             (text.replace("true", "7"), "expected a boolean"),
             (with_file("../cameras.bin"), "has changed"),
             (with_file("/etc/passwd"), "has changed"),
-            (text.replace("500.0,", ""), "expected parameters"),
+            (text.replace("500.0,", ""), "the calibration of a camera"),
         ] {
             std::fs::write(dir.path().join(SIDECAR), &text).unwrap();
             let found = LocatedModel::open(dir.path()).unwrap();

@@ -134,8 +134,8 @@ fn clocks_and_extrinsics_are_estimated_with_consistent_uncertainty() {
     assert!(chance.contains(&normalised), "{normalised}");
 }
 
-/// Root mean squares of a lens field, in pixels: what a calibration leaves (0.1 to 0.2 px along each
-/// axis on KITTI).
+/// Root mean squares of a lens field, in pixels: what a calibration leaves (0.1 to 0.2 px along
+/// each axis on KITTI).
 const LENS_FIELDS_PX: [f64; 2] = [0.28, 0.14];
 /// Root mean square of the normalised errors over all seeds; and of one seed, whose five numbers
 /// have a mean square in 0.08 to 3.3 with 99 % probability (χ²).
