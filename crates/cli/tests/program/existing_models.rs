@@ -103,6 +103,14 @@ fn new_photos_are_registered_onto_an_input_model() {
         assert!(moved < 0.01 * size, "{name} by {moved} of {size}");
     }
 
+    // Constant intrinsics are those of the model; refined ones begin there, near a calibration.
+    let given = "features {}/all -o []/given --intrinsics 331,331,160,120";
+    run(dir.path(), given).done();
+    run(dir.path(), "match []/given").done();
+    run(dir.path(), "map []/given --input-model {}/ws --fix-existing-frames")
+        .failed(1, &["0.png are given", "the input model has others"]);
+    run(dir.path(), "map []/given --input-model {}/ws").done();
+
     // Bad input.
     let map = "map []/fixed --redo map --input-model";
     let fails = |rest: &str, code, parts: &[&str]| {

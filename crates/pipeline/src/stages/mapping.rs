@@ -184,8 +184,9 @@ impl<'a> MapRequest<'a> {
         let mut constant = BTreeSet::new();
         let refines = self.options.refine != RefineIntrinsics::NONE;
         if let Some(model) = &self.input_model {
-            let existing = apply_input_model(&mut scene, model, refines, run.watch)?;
-            if model.fix_existing_frames && refine.is_none() {
+            let keeps = model.fix_existing_frames && refine.is_none();
+            let existing = apply_input_model(&mut scene, model, refines && !keeps, run.watch)?;
+            if keeps {
                 constant = existing;
             }
         }
