@@ -33,7 +33,7 @@ from pathlib import Path
 
 import numpy as np
 import pycolmap
-from program import ROOT, program_of
+from program import ROOT, kitti_intrinsics, program_of
 
 MODEL_TOLERANCE_PX = 1e-6  # both programs compute the same sum of distances, in double precision
 
@@ -87,14 +87,8 @@ def load(name, data):
         return Dataset(folder, matrix_k(folder / "K.txt"), strecha_centres(folder / "cameras"))
     if name == "sceaux":
         return Dataset(folder, matrix_k(folder / "K.txt"))
-    # KITTI counts pixel centres from whole numbers, hence + 0.5.
-    p0 = np.array(
-        [float(v) for v in (folder / "calib.txt").read_text().split("\n")[0].split()[1:]]
-    ).reshape(3, 4)
-    known = (p0[0, 0], p0[1, 1], p0[0, 2] + 0.5, p0[1, 2] + 0.5)
-    return Dataset(
-        folder, known, kitti_centres(folder / "poses.txt", "left"), reach=10, uncalibrated=False
-    )
+    known, truth = kitti_intrinsics(folder), kitti_centres(folder / "poses.txt", "left")
+    return Dataset(folder, known, truth, reach=10, uncalibrated=False)
 
 
 DATASETS = ["fountain-P11", "Herz-Jesus-P8", "sceaux", "kitti04"]

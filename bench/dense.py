@@ -34,7 +34,7 @@ import pycolmap
 from scipy.spatial import cKDTree
 
 import dense_scene
-from program import program_of, tiepoint
+from program import kitti_intrinsics, program_of, tiepoint
 
 SCENES = {"room": (12, (480, 360)), "street": (12, (480, 360))}
 PHOTOS = {"fountain-P11": 1024, "sceaux": 1024, "Herz-Jesus-P8": 1024}
@@ -374,10 +374,7 @@ def kitti_case(name, scratch, options):
         (photos / side).mkdir(parents=True)
         for path in sorted((folder / "images" / side).iterdir())[:KITTI_FRAMES]:
             shutil.copy(path, photos / side / path.name)
-    first = (folder / "calib.txt").read_text().splitlines()[0].split()[-12:]
-    k = [float(value) for value in first]
-    # The centre of the first pixel is (0, 0) in KITTI's files.
-    known = ",".join(map(repr, (k[0], k[5], k[2] + 0.5, k[6] + 0.5)))
+    known = ",".join(map(repr, kitti_intrinsics(folder)))
     words = ["--intrinsics", known, "--refine", "none", "--pairs", "sequential:5"]
     words += ["--threads", options.threads]
     tiepoint("reconstruct", photos, "-o", workspace, *words)

@@ -29,6 +29,15 @@ def tiepoint(*words):
     return json.loads(done.stdout)
 
 
+def kitti_intrinsics(folder):
+    """fx, fy, cx and cy of the left camera of a KITTI clip."""
+    # The first line is `P0:` and twelve numbers; the name is left out in some files.
+    first = (Path(folder) / "calib.txt").read_text().splitlines()[0].split()[-12:]
+    k = [float(value) for value in first]
+    # The centre of the first pixel is (0, 0) in KITTI's files.
+    return k[0], k[5], k[2] + 0.5, k[6] + 0.5
+
+
 def degrees(cosine):
     """Of a cosine that rounding may have taken past 1."""
     return math.degrees(math.acos(min(max(cosine, -1), 1)))

@@ -23,7 +23,7 @@ import subprocess
 import sys
 import tempfile
 
-from program import ROOT, program_of
+from program import ROOT, kitti_intrinsics, program_of
 
 PAGES = ROOT / "docs/benchmarks"
 RESULTS = PAGES / "results"
@@ -204,11 +204,7 @@ def measure_kitti():
     runs = []
     for drive in ["kitti04", "kitti01"]:
         folder = data() / drive
-        # The first line is `P0:` and twelve numbers; the name is left out in some files.
-        first = (folder / "calib.txt").read_text().splitlines()[0].split()[-12:]
-        k = [float(value) for value in first]
-        # The centre of the first pixel is (0, 0) in KITTI's files.
-        intrinsics = ",".join(map(repr, (k[0], k[5], k[2] + 0.5, k[6] + 0.5)))
+        intrinsics = ",".join(map(repr, kitti_intrinsics(folder)))
         with tempfile.TemporaryDirectory() as scratch:
             workspace = pathlib.Path(scratch) / "ws"
             images = folder / "images"

@@ -44,7 +44,7 @@ import time
 from pathlib import Path
 
 import numpy as np
-from program import ROOT, program_of
+from program import ROOT, kitti_intrinsics, program_of
 from rig import rotation, true_cameras
 
 # Camera that is given, and options of `map`.
@@ -111,10 +111,7 @@ class Window(Set):
         self.copy((self.data / "images" / name, name) for name in names)
 
     def calibration(self):
-        # KITTI counts pixel centres from whole numbers.
-        line = (self.data / "calib.txt").read_text().split("\n")[0]
-        p = [float(v) for v in line.split()[-12:]]
-        return p[0], p[5], p[2] + 0.5, p[6] + 0.5
+        return kitti_intrinsics(self.data)
 
 
 class Photos(Set):

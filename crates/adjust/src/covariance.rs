@@ -18,7 +18,8 @@ use crate::variables::Variables;
 /// Rows and columns of the cells of an image. Errors are correlated in a cell and independent
 /// between cells. Smaller cells miss a part of the correlation of a smooth field; larger ones are
 /// too few: two cameras should have 20 to 50 clusters together (Cameron and Miller 2015, section
-/// VI.A). docs/benchmarks/rig.md has the deviations with a half and the double.
+/// VI.A). It was chosen among 3 to 16 on the seeds of docs/benchmarks/rig.md, which has half and
+/// double.
 const CELLS: usize = 4;
 
 /// Joint covariance of some variables in the problem of a finished model, in tangent coordinates

@@ -184,6 +184,9 @@ fn cameras(report: &Report) -> Vec<String> {
     lines
 }
 
+/// Smaller numbers are 0.0 with one decimal.
+const LEAST_SHOWN: f64 = 0.05;
+
 /// How far the calibrations of the first model's cameras were refined, a line each.
 fn calibrations(report: &Report) -> Vec<String> {
     let cameras = report.models.first().into_iter().flat_map(|model| &model.cameras);
@@ -193,7 +196,7 @@ fn calibrations(report: &Report) -> Vec<String> {
         let moved: Vec<String> = names
             .iter()
             .zip(&calibration.deviations)
-            .filter(|(_, deviation)| deviation.abs() >= 0.05)
+            .filter(|(_, deviation)| deviation.abs() >= LEAST_SHOWN)
             .map(|(name, deviation)| format!("{name} {deviation:+.1}"))
             .collect();
         let moved = match moved.is_empty() {
@@ -218,11 +221,11 @@ fn uncertain_focal_lengths(report: &Report) -> Vec<String> {
         let index = *kind.focal_indices().first()?;
         let (id, focal_px, sd_px) =
             (camera.id, *camera.params.get(index)?, *camera.params_sd.get(index)?);
-        let (low, high) = (focal_px - 2.0 * sd_px, focal_px + 2.0 * sd_px);
+        let (low, high) = ((focal_px - 2.0 * sd_px).max(0.0), focal_px + 2.0 * sd_px);
         (sd_px > UNCERTAIN_FOCAL * focal_px).then(|| {
             format!(
-                "camera {id}: the images say no more of its focal length than {low:.0} to \
-                {high:.0} px; images from a turn, --focal-prior or --calibration say more"
+                "camera {id}: the images hardly determine its focal length: {low:.0} to \
+                {high:.0} px (95 %); add images that rotate, or give --calibration"
             )
         })
     });

@@ -11,8 +11,7 @@
 
 use tiepoint_features::SiftDescriptor;
 
-use crate::brute::{MAX_ENTRY, MAX_SQUARE};
-use crate::packed::{Packed, centred_square};
+use crate::packed::{MAX_ENTRY, MAX_SQUARE, Packed, centred_square};
 
 /// Number of groups of four coefficients. On fountain-P11 two groups fewer compute 75 distances for
 /// a row instead of 32, two more take 1.2 times as long for the sweep.

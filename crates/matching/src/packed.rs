@@ -8,6 +8,16 @@ pub(crate) const PANEL: usize = 16;
 /// Number of panels in the widest tile of the kernel. Lists of panels are padded to a multiple of
 /// it.
 pub(crate) const TILE: usize = 4;
+
+/// Largest magnitude of a centred byte, `byte − 128`, of compressed descriptors. `vpmaddubsw` adds
+/// two products of a byte from 0 to 180 and one from -90 to 90: at most 32,400, which 16 bits hold.
+/// With 91 they do not.
+pub(crate) const MAX_ENTRY: i32 = 90;
+/// Largest square of a centred vector of compressed descriptors: 16 bits hold their scores
+/// (`brute::screen`).
+pub(crate) const MAX_SQUARE: i32 = 32_700;
+const _: () = assert!(4 * MAX_ENTRY * MAX_ENTRY < 1 << 15 && MAX_SQUARE < (1 << 15) - 1);
+
 /// A list of vectors of `G` groups of four bytes.
 pub(crate) trait Vectors<const G: usize> {
     /// Number of vectors.

@@ -119,10 +119,8 @@ impl Isa {
         }
     }
 
-    /// Calls `on_candidate` with every row and column whose score is not below the minimum of the
-    /// row. It returns the row's next minimum, which is not smaller, or `None` to stop. A row gets
-    /// its candidates in ascending order. Returns `None` if it stopped. Columns and rows are
-    /// bounded by [`super::MAX_ENTRY`] and [`super::MAX_SQUARE`].
+    /// [`for_each_candidate`] on this instruction set. Rows and columns are bounded by
+    /// [`MAX_ENTRY`](crate::packed::MAX_ENTRY) and [`MAX_SQUARE`](crate::packed::MAX_SQUARE).
     pub(crate) fn for_each_candidate<const G: usize>(
         self,
         rows: &impl Vectors<G>,

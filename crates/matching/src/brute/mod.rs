@@ -25,7 +25,6 @@ use crate::prepared::Prepared;
 
 pub use isa::Isa;
 pub(crate) use isa::Kind;
-pub(crate) use screen::{MAX_ENTRY, MAX_SQUARE};
 
 /// The nearest neighbours between the descriptors of two images, in both directions.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -12,16 +12,10 @@
 
 use super::kernel::Buffer;
 use super::lanes::{OFFSET, ScoreLanes};
-use crate::packed::{PANEL, Packed, TILE, Vectors, centred_square};
+use crate::packed::{MAX_ENTRY, MAX_SQUARE, PANEL, Packed, TILE, Vectors, centred_square};
 
-/// Largest magnitude of a centred byte. `vpmaddubsw` adds two products of a byte from 0 to 180 and
-/// one from -90 to 90: at most 32,400, which 16 bits hold. With 91 they do not.
-pub(crate) const MAX_ENTRY: i32 = 90;
-/// Largest square of a centred vector. With `q` for it, scores are from `−3q/2` to `q/2`, and with
-/// [`NARROW_OFFSET`] from `−q` to `q`, which 16 bits hold.
-pub(crate) const MAX_SQUARE: i32 = 32_700;
-const _: () = assert!(4 * MAX_ENTRY * MAX_ENTRY < 1 << 15 && MAX_SQUARE < (1 << 15) - 1);
-/// Added to scores of 16 bits.
+/// Added to scores of 16 bits. With `q` for [`MAX_SQUARE`], scores are from `−3q/2` to `q/2`, and
+/// with this from `−q` to `q`, which 16 bits hold.
 const NARROW_OFFSET: i32 = MAX_SQUARE / 2;
 /// Below all scores, and above those of padding.
 const LEAST_SCORE: i32 = i32::MIN / 4;
@@ -215,6 +209,7 @@ unsafe fn find<L: ScoreLanes, const R: usize, const C: usize, const G: usize>(
     unsafe {
         let offsets = &packed.offsets[group..group + R];
         let sums = multiply::<L, R, C, G>(rows, offsets, columns, column_constants);
+        // No lane is above itself.
         let mut has_hits = [L::is_above(sums[0][0], sums[0][0]); R];
         for ((has_hits, sums), limit) in has_hits.iter_mut().zip(&sums).zip(limits) {
             let largest = sums[1..].iter().fold(sums[0], |largest, sum| L::max(largest, *sum));

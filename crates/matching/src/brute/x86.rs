@@ -17,9 +17,9 @@ use tiepoint_features::SiftDescriptor;
 
 use super::kernel::compare_all;
 use super::lanes::{KeyLanes, Lanes, OFFSET, ScoreLanes, widen, widen_signed};
-use super::screen::{MAX_ENTRY, for_each_candidate};
+use super::screen::for_each_candidate;
 use crate::matches::Nearest;
-use crate::packed::{PANEL, Packed, Panel, Vectors};
+use crate::packed::{MAX_ENTRY, PANEL, Packed, Panel, Vectors};
 
 /// XOR with this word maps each byte `x` to `x − 128` as a signed byte.
 const SIGN_BITS: u32 = 0x8080_8080;

@@ -69,10 +69,9 @@ pub struct MapOptions {
     pub refine_extrinsics: bool,
 }
 
-/// Of the calibrations that users give, the errors of each parameter move pixels at the border of
-/// the image by about this distance, in pixels. Checkerboards are detected to a tenth of a pixel,
-/// but lenses change with focus and temperature, and the lens models leave some tenths
-/// (`docs/benchmarks/drives.md` has half and double).
+/// Default of [`MapOptions::calibration_sigma_px`]: an assumption, not an estimate. Calibration
+/// boards are detected to a tenth of a pixel, but lenses change with focus and temperature, and
+/// lens models leave some tenths. `docs/benchmarks/drives.md` has half, double and less.
 const CALIBRATION_SIGMA_PX: f64 = 1.0;
 
 impl Default for MapOptions {

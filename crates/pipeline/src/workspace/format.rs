@@ -37,6 +37,11 @@ pub(crate) fn json(value: &impl Serialize) -> Vec<u8> {
     text
 }
 
+/// Numbers for JSON, which has no infinite ones: they are `None`.
+pub(crate) fn finite(values: &[f64]) -> Vec<Option<f64>> {
+    values.iter().map(|value| value.is_finite().then_some(*value)).collect()
+}
+
 /// A file as JSON, with its format.
 pub(crate) fn to_json(content: &impl Serialize) -> Vec<u8> {
     json(&Numbered { format: FORMAT, content })

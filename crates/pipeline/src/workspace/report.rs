@@ -8,6 +8,7 @@ use tiepoint_sfm::scene::{Camera, CameraId, IntrinsicsPrior};
 use tiepoint_store::{Error as StoreError, require_regular_file};
 
 use crate::workspace::file_names::DENSE_CLOUD;
+use crate::workspace::format::finite;
 use crate::workspace::overlay_report::OverlayReport;
 use crate::workspace::rig_report::RigReport;
 use crate::workspace::warning::Warning;
@@ -216,10 +217,9 @@ pub struct CalibrationReport {
 impl CalibrationReport {
     /// Of refined intrinsics; `None` if they are of another camera model than the calibration.
     fn new(prior: &IntrinsicsPrior, refined: &Intrinsics) -> Option<Self> {
-        let finite = |sigma: &f64| sigma.is_finite().then_some(*sigma);
         (prior.mean.kind() == refined.kind()).then(|| Self {
             params: prior.mean.params().to_vec(),
-            sigmas: prior.sigmas.iter().map(finite).collect(),
+            sigmas: finite(&prior.sigmas),
             deviations: prior.deviations(refined),
         })
     }

@@ -71,9 +71,7 @@ struct CalibrationFacts {
 
 impl CalibrationFacts {
     fn new(prior: &IntrinsicsPrior) -> Self {
-        let finite = |sigma: &f64| sigma.is_finite().then_some(*sigma);
-        let sigmas = prior.sigmas.iter().map(finite).collect();
-        Self { params: prior.mean.params().to_vec(), sigmas }
+        Self { params: prior.mean.params().to_vec(), sigmas: format::finite(&prior.sigmas) }
     }
 
     /// The prior of a camera of this model; an error in words.

@@ -2,9 +2,9 @@
 //!
 //! A car is integrated at 1 kHz (`vehicle`), a camera in a hand or on a drone sampled (`carried`).
 //! Between two steps the pose is the cubic Hermite polynomial of values and rates, which is the
-//! dense output of the integrator. A millisecond is
-//! far below the periods of all motions, so that the interpolation is exact to well under a
-//! micrometre; it shares nothing with the splines that estimators fit to image times.
+//! dense output of the integrator. A millisecond is far below the periods of all motions, so that
+//! the interpolation is exact to well under a micrometre; it shares nothing with the splines that
+//! estimators fit to image times.
 //!
 //! Frames: the world has x east, y north, z up; the vehicle, as cameras do, x right, y down, z
 //! forward, with its origin on the road under the rear axle, or in the hand or the drone.
