@@ -1,5 +1,6 @@
 #![doc = include_str!("../README.md")]
 
+mod calibration_evidence;
 mod covariance;
 mod error;
 mod gauge;
@@ -17,6 +18,7 @@ mod term;
 mod triangulation;
 mod variables;
 
+pub use calibration_evidence::calibration_evidence;
 pub use covariance::covariance_of_fit;
 pub use error::Error;
 pub use gauge::{Gauge, fix_gauge};

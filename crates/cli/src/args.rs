@@ -19,12 +19,11 @@ use tiepoint_pipeline::sfm::RigMode;
 use tiepoint_pipeline::sfm::geometry::{CameraModelKind, Intrinsics};
 use tiepoint_pipeline::sfm::matching::PairSelection;
 use tiepoint_pipeline::sfm::rolling_shutter::Readout;
-use tiepoint_pipeline::stages::MapOptions;
 use tiepoint_synth::trajectory::Carrier;
 use tiepoint_synth::{Effects, RouteKind, ViewDirection};
 
-pub(crate) use values::{CropBox, ImageSize, Metres, Quantiles, Refine, threads};
-use values::{NumberList, PositivePixels, one_of, positive, readout, refine, rig_mode};
+pub(crate) use values::{CropBox, ImageSize, Metres, PositivePixels, Quantiles, Refine, threads};
+use values::{NumberList, one_of, positive, readout, refine, rig_mode};
 
 /// Structure from motion for cameras mounted on one vehicle: photos in, a COLMAP model out.
 #[derive(Debug, Parser)]
@@ -324,8 +323,8 @@ pub(crate) struct Cameras {
         hide_possible_values = true
     )]
     pub(crate) cameras: CameraGrouping,
-    /// Known intrinsics of all cameras, in pixels; mapping refines them within their standard
-    /// deviations (--calibration-sigma). The centre of the first pixel is (0.5, 0.5) as in COLMAP;
+    /// Known intrinsics of all cameras, in pixels; mapping refines them if the images contradict
+    /// them (--calibration-sigma). The centre of the first pixel is (0.5, 0.5) as in COLMAP;
     /// for intrinsics of OpenCV or KITTI, which have it at (0, 0), add 0.5 to cx and cy. They are
     /// those of the stored photo and are turned as EXIF says. Four numbers are a PINHOLE camera,
     /// more are an OPENCV one (k1,k2,p1,p2).
@@ -411,13 +410,10 @@ pub(crate) struct Mapping {
     #[arg(long, value_name = "LIST", value_parser = refine)]
     pub(crate) refine: Option<Refine>,
     /// Standard deviation of known intrinsics, in pixels: how far the error of each parameter moves
-    /// the border of the image. With --refine none they are exact.
-    #[arg(
-        long,
-        value_name = "PX",
-        default_value_t = PositivePixels(MapOptions::default().calibration_sigma_px)
-    )]
-    pub(crate) calibration_sigma: PositivePixels,
+    /// the border of the image. By default they are kept unless the images contradict them, and
+    /// then it is 1. With --refine none they are exact.
+    #[arg(long, value_name = "PX")]
+    pub(crate) calibration_sigma: Option<PositivePixels>,
     /// Known distance between the first two cameras (in the order of their folders) with its unit,
     /// m, cm or mm. The model is scaled to it; by default the scale is arbitrary.
     #[arg(long, value_name = "0.62m", conflicts_with = "input_model")]

@@ -192,6 +192,12 @@ fn calibrations(report: &Report) -> Vec<String> {
     let cameras = report.models.first().into_iter().flat_map(|model| &model.cameras);
     let calibrated = cameras.filter_map(|camera| Some((camera, camera.calibration.as_ref()?)));
     let lines = calibrated.filter_map(|(camera, calibration)| {
+        let id = camera.id;
+        if calibration.is_exact {
+            return Some(format!(
+                "camera {id}: the images do not contradict its calibration, kept"
+            ));
+        }
         let names = CameraModelKind::from_name(&camera.model).ok()?.param_names();
         let moved: Vec<String> = names
             .iter()
@@ -203,7 +209,6 @@ fn calibrations(report: &Report) -> Vec<String> {
             true => "0".to_owned(),
             false => moved.join(", "),
         };
-        let id = camera.id;
         Some(format!("camera {id}: {moved} standard deviations from its calibration"))
     });
     lines.take(MAX_NAMES).collect()

@@ -52,6 +52,10 @@ impl RigMode {
 pub struct MapperOptions {
     /// Intrinsics that bundle adjustment refines.
     pub refine: RefineIntrinsics,
+    /// Whether calibrations ([`tiepoint_scene::Reconstruction::intrinsics_priors`]) are kept as
+    /// they are, unless the images contradict them ([`crate::adjust::calibration_evidence`]).
+    /// Otherwise they are refined.
+    pub keep_calibrations: bool,
     /// Options of track creation.
     pub tracks: TrackOptions,
     /// Options of the point filter.
@@ -112,6 +116,7 @@ impl Default for MapperOptions {
     fn default() -> Self {
         Self {
             refine: RefineIntrinsics::ALL,
+            keep_calibrations: true,
             tracks: TrackOptions::default(),
             filter: FilterOptions::default(),
             register: RegisterOptions::default(),

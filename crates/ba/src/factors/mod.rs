@@ -2,12 +2,14 @@
 
 mod between;
 mod difference;
+mod lens_field;
 mod prior;
 mod relative;
 mod reprojection;
 
 pub use between::Between;
 pub use difference::Difference;
+pub use lens_field::{FieldReprojection, LensField};
 pub use prior::Prior;
 pub use relative::Relative;
 pub use reprojection::{Reprojection, RigReprojection, ShiftedReprojection};

@@ -1,11 +1,15 @@
 //! The Jacobian of every factor is the derivative of its residual.
 
 use proptest::prelude::*;
-use tiepoint_ba::factors::{Between, Prior, Reprojection, RigReprojection, ShiftedReprojection};
+use tiepoint_ba::Factor;
+use tiepoint_ba::factors::{
+    Between, FieldReprojection, LensField, Prior, Reprojection, RigReprojection,
+    ShiftedReprojection,
+};
 use tiepoint_ba::nalgebra::{SVector, UnitQuaternion, Vector1, Vector2, Vector3};
 use tiepoint_ba::testing::check_jacobians;
 use tiepoint_geometry::cameras::{Opencv, OpencvFisheye, Pinhole, SimpleRadial};
-use tiepoint_geometry::{CameraModel, Rigid3, Sim3, so3};
+use tiepoint_geometry::{CameraModel, Manifold, Rigid3, Sim3, so3};
 
 /// The numeric derivative has an error of 1e-12 of the *third* derivatives, which strong distortion
 /// at steep angles makes a few thousand times larger than the first.
@@ -139,5 +143,29 @@ proptest! {
             check_jacobians(&prior, (similarity(error * mean, scale),), TOLERANCE),
             Ok(())
         );
+    }
+
+    #[test]
+    fn reprojections_with_a_field(
+        cam_from_world in rigid(3.0),
+        in_cam in in_view(),
+        pixel in (-50.0..700.0_f64, -50.0..600.0_f64),
+        k in -0.05..0.05f64,
+        coefficients in prop::collection::vec(-2.0..2.0_f64, LensField::DOF),
+        shift in (-2.0..2.0_f64, -2.0..2.0_f64),
+    ) {
+        let (pixel, shift) = (Vector2::new(pixel.0, pixel.1), Vector2::new(shift.0, shift.1));
+        let factor = FieldReprojection::<Opencv>::new(pixel, 0.7, [640, 480]);
+        let params = [800.0, 790.0, 320.0, 240.0, k, 0.3 * k, 0.001, -0.002].into();
+        let point = cam_from_world.inverse() * in_cam;
+        let field = LensField::from_vec(coefficients);
+        let values = (params, cam_from_world, field, point);
+        prop_assert_eq!(check_jacobians(&factor, values, TOLERANCE), Ok(()));
+        // Equal coefficients are a shift.
+        let half = LensField::DOF / 2;
+        let field = LensField::from_fn(|i, _| if i < half { shift.x } else { shift.y });
+        let residual = |field| factor.residual((&params, &cam_from_world, field, &point));
+        let found = residual(&field).unwrap() - residual(&LensField::zeros()).unwrap();
+        prop_assert!((found * 0.7 - shift).norm() < TOLERANCE);
     }
 }

@@ -9,7 +9,8 @@ use tiepoint_pipeline::stages::{
 use tiepoint_pipeline::{Options, Stage, Workspace, reconstruct as reconstruct_all};
 
 use crate::args::{
-    Cameras, Dense, Features, Input, MEGA, Map, Mapping, Match, Metres, Pairs, Reconstruct, Seed,
+    Cameras, Dense, Features, Input, MEGA, Map, Mapping, Match, Metres, Pairs, PositivePixels,
+    Reconstruct, Seed,
 };
 use crate::failure::Failure;
 use crate::output::Output;
@@ -148,7 +149,7 @@ fn map_options(mapping: &Mapping, seed: &Seed) -> Result<MapOptions, Failure> {
             ..MapperOptions::default()
         },
         refine: mapping.refine.map(|refine| refine.intrinsics),
-        calibration_sigma_px: mapping.calibration_sigma.0,
+        calibration_sigma_px: mapping.calibration_sigma.map(|PositivePixels(sigma_px)| sigma_px),
         baseline_m: mapping.baseline.map(|Metres(baseline_m)| baseline_m),
         input_model: mapping
             .input_model

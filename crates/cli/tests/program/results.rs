@@ -276,13 +276,18 @@ fn the_same_bytes_stage_by_stage_and_on_any_number_of_threads() {
     tiepoint_in(dir, "match {}/three --threads 3").done();
     tiepoint_in(dir, "map {}/three --threads 3").done();
     assert!(models(&dir.join("one")) == models(&dir.join("three")));
-    // Known intrinsics are refined within their deviations, also when the stages run one by one.
+    // Known intrinsics are kept, or refined within stated deviations, also when the stages run one
+    // by one.
     let given = [photos::FOCAL_PX, photos::FOCAL_PX, 160.0, 120.0];
     let camera_of = |options: &str| {
         let line = format!("map {{}}/three {options} --redo map --json");
         tiepoint_in(dir, &line).done().json()["models"][0]["cameras"][0].clone()
     };
-    let refined = camera_of("");
+    let kept = camera_of("");
+    assert_eq!(kept["model"], "OPENCV");
+    assert_eq!(kept["calibration"]["is_exact"], true, "the photos have these intrinsics: {kept}");
+    assert_eq!(kept["params"], serde_json::json!([given.as_slice(), &[0.0; 4]].concat()));
+    let refined = camera_of("--calibration-sigma 1");
     assert_eq!(refined["model"], "OPENCV");
     let [params, sigmas, deviations] = [
         &refined["params"],

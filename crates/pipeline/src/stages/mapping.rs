@@ -47,7 +47,7 @@ use crate::workspace::warning::Warning;
 use crate::{Error, Event, Stage, Watch, Workspace, emit};
 
 /// Options of mapping.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct MapOptions {
     /// Options of the mapper.
     pub mapper: MapperOptions,
@@ -55,8 +55,9 @@ pub struct MapOptions {
     /// at the calibration.
     pub refine: Option<RefineIntrinsics>,
     /// Standard deviation of calibrated intrinsics: how far the error of each parameter moves
-    /// pixels at the border of the image ([`sfm::scene::IntrinsicsPrior::new`]), in pixels.
-    pub calibration_sigma_px: f64,
+    /// pixels at the border of the image ([`sfm::scene::IntrinsicsPrior::new`]), in pixels. `None`:
+    /// calibrations are kept unless the images contradict them, and then it is 1 px.
+    pub calibration_sigma_px: Option<f64>,
     /// Known distance between the first two cameras, in metres: it determines the scale of the
     /// models.
     pub baseline_m: Option<f64>,
@@ -69,24 +70,11 @@ pub struct MapOptions {
     pub refine_extrinsics: bool,
 }
 
-/// Default of [`MapOptions::calibration_sigma_px`]: an assumption, not an estimate. Calibration
-/// boards are detected to a tenth of a pixel, but lenses change with focus and temperature, and
-/// lens models leave some tenths. `docs/benchmarks/drives.md` has half, double and less.
+/// Value of [`MapOptions::calibration_sigma_px`] if none is given: an assumption, not an estimate.
+/// Calibration boards are detected to a tenth of a pixel, but lenses change with focus and
+/// temperature, and lens models leave some tenths. `docs/benchmarks/drives.md` has half, double and
+/// less.
 const CALIBRATION_SIGMA_PX: f64 = 1.0;
-
-impl Default for MapOptions {
-    fn default() -> Self {
-        Self {
-            mapper: MapperOptions::default(),
-            refine: None,
-            calibration_sigma_px: CALIBRATION_SIGMA_PX,
-            baseline_m: None,
-            input_model: None,
-            rig_calibration: None,
-            refine_extrinsics: false,
-        }
-    }
-}
 
 /// Maps a workspace that has matches and writes its models, the largest first.
 ///
@@ -146,7 +134,10 @@ impl<'a> MapRequest<'a> {
             mapper.refine = refine;
         }
         mapper.validate()?;
-        OptionError::check_positive("calibration_sigma_px", given.calibration_sigma_px)?;
+        mapper.keep_calibrations = given.calibration_sigma_px.is_none();
+        if let Some(sigma_px) = given.calibration_sigma_px {
+            OptionError::check_positive("calibration_sigma_px", sigma_px)?;
+        }
         let mut texts = option_keys::mapping_options(&mapper, baseline_m);
         let has_known = input_model.is_some()
             || rig_calibration.is_some()
@@ -154,7 +145,7 @@ impl<'a> MapRequest<'a> {
                 .into_iter()
                 .any(of_features);
         let is_refined = has_known && mapper.refine != RefineIntrinsics::NONE;
-        let sigma_px = is_refined.then_some(given.calibration_sigma_px);
+        let sigma_px = given.calibration_sigma_px.filter(|_| is_refined);
         texts.push(option_keys::calibration_sigma_option(sigma_px));
         let is_imported = of_features(option_names::DATABASE);
         if let Some(model) = &input_model {
@@ -212,7 +203,7 @@ impl<'a> MapRequest<'a> {
             scene.calibrated.clear();
             calibrations.retain(|camera, _| !constant.contains(camera));
             let distortion = self.options.refine.distortion;
-            let sigma_px = self.given.calibration_sigma_px;
+            let sigma_px = self.given.calibration_sigma_px.unwrap_or(CALIBRATION_SIGMA_PX);
             set_calibration_priors(&mut scene, &calibrations, distortion, sigma_px);
         }
         scene.calibrated.extend(constant);
@@ -672,6 +663,7 @@ mod tests {
                 error_px: 1.0,
             }),
             reconstruction: model,
+            calibration_evidence: None,
             intrinsics_sds: BTreeMap::new(),
             shutters: Vec::new(),
             row_poses: BTreeMap::new(),

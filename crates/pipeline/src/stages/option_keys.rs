@@ -110,6 +110,8 @@ pub(crate) fn matcher_options(matcher: &dyn Matcher) -> impl Iterator<Item = (St
 pub(crate) fn mapping_options(mapper: &MapperOptions, baseline_m: Option<f64>) -> Texts {
     let MapperOptions {
         refine: RefineIntrinsics { focal, aspect, principal_point, distortion, prism },
+        // Known by `calibration_sigma_option`.
+        keep_calibrations: _,
         tracks:
             TrackOptions {
                 max_create_error_px,

@@ -3,8 +3,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 use tiepoint_input::SkippedImage;
 use tiepoint_sfm::MappedModel;
-use tiepoint_sfm::geometry::Intrinsics;
-use tiepoint_sfm::scene::{Camera, CameraId, IntrinsicsPrior};
+use tiepoint_sfm::scene::{Camera, CameraId};
 use tiepoint_store::{Error as StoreError, require_regular_file};
 
 use crate::workspace::file_names::DENSE_CLOUD;
@@ -212,15 +211,26 @@ pub struct CalibrationReport {
     pub sigmas: Vec<Option<f64>>,
     /// By how many standard deviations the refined parameters differ.
     pub deviations: Vec<f64>,
+    /// Whether the calibration was taken as exact, because the images do not contradict it.
+    #[serde(default)]
+    pub is_exact: bool,
+    /// Logarithm of the Bayes factor against exact calibrations of the model's cameras. `None` if
+    /// the images are too few to tell.
+    #[serde(default)]
+    pub log_bayes_factor: Option<f64>,
 }
 
 impl CalibrationReport {
-    /// Of refined intrinsics; `None` if they are of another camera model than the calibration.
-    fn new(prior: &IntrinsicsPrior, refined: &Intrinsics) -> Option<Self> {
+    /// Of a camera of a model; `None` if it has none, or one of another camera model.
+    fn of_model(id: CameraId, mapped: &MappedModel) -> Option<Self> {
+        let model = &mapped.reconstruction;
+        let (prior, refined) = (model.intrinsics_priors.get(&id)?, &model.camera(id).intrinsics);
         (prior.mean.kind() == refined.kind()).then(|| Self {
             params: prior.mean.params().to_vec(),
             sigmas: finite(&prior.sigmas),
             deviations: prior.deviations(refined),
+            is_exact: model.calibrated.contains(&id),
+            log_bayes_factor: mapped.calibration_evidence,
         })
     }
 }
@@ -251,8 +261,7 @@ impl CameraReport {
         let shutter = shutters.iter().find(|shutter| shutter.camera == id);
         let params_sd = intrinsics_sds.get(&id).cloned().unwrap_or_default();
         let camera = model.camera(id);
-        let prior = model.intrinsics_priors.get(&id);
-        let calibration = prior.and_then(|prior| CalibrationReport::new(prior, &camera.intrinsics));
+        let calibration = CalibrationReport::of_model(id, mapped);
         let readout_s = shutter.map(|shutter| shutter.readout_s);
         let readout_sd_s =
             shutter.and_then(|shutter| shutter.readout_sd_s).filter(|sd_s| sd_s.is_finite());

@@ -1,5 +1,6 @@
 //! The incremental mapper.
 
+mod calibration;
 mod existing;
 mod extend;
 mod focal_trials;

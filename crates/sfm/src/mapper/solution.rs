@@ -16,6 +16,8 @@ pub(super) struct Solution {
     pub(super) shutters: Option<RollingShutters>,
     pub(super) num_loop_pairs: usize,
     pub(super) rig: Option<CalibratedRig>,
+    /// Logarithm of the Bayes factor against exact calibrations, if they were judged.
+    pub(super) calibration_evidence: Option<f64>,
 }
 
 /// Phase of the construction.
@@ -41,6 +43,7 @@ impl Solution {
             shutters: None,
             num_loop_pairs: 0,
             rig: None,
+            calibration_evidence: None,
         }
     }
 }

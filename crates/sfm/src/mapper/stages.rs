@@ -30,6 +30,8 @@ enum Stage {
     Refine(RefinementSchedule),
     /// Corrects the keypoints for rolling shutters.
     RollingShutter { is_last: bool },
+    /// Decides whether calibrations are exact.
+    Calibrations,
     /// Closes loops.
     Loops,
     /// Moves an extended model back into its frame.
@@ -40,9 +42,10 @@ enum Stage {
 
 /// The first rolling-shutter stage comes before loop closure: a rolling shutter changes the scale
 /// along a drive, sevenfold in 2 km, and no loop closes over such a change.
-const STAGES: [Stage; 7] = [
+const STAGES: [Stage; 8] = [
     Stage::Refine(RefinementSchedule::BEFORE_LOOP_CLOSURE),
     Stage::RollingShutter { is_last: false },
+    Stage::Calibrations,
     Stage::Loops,
     Stage::Refine(RefinementSchedule::FINAL),
     Stage::RollingShutter { is_last: true },
@@ -61,7 +64,7 @@ impl Stage {
         match self {
             Self::RollingShutter { .. } => Some(OptionalStage::RollingShutter),
             Self::Rig => Some(OptionalStage::Rig),
-            Self::Refine(_) | Self::Loops | Self::Gauge => None,
+            Self::Refine(_) | Self::Calibrations | Self::Loops | Self::Gauge => None,
         }
     }
 }
@@ -111,6 +114,7 @@ impl Refiner<'_> {
             shutters,
             num_loop_pairs,
             rig,
+            calibration_evidence,
             ..
         } = self.solution;
         let is_used = |camera| model.registered().any(|(_, image, _)| image.camera == camera);
@@ -122,6 +126,7 @@ impl Refiner<'_> {
             initial_pair,
             is_in_frame_of_terms,
             rig,
+            calibration_evidence,
             intrinsics_sds,
             shutters,
             row_poses,
@@ -142,6 +147,7 @@ impl Refiner<'_> {
                 self.refine_globally(&schedule, watch)
             }
             Stage::RollingShutter { is_last } => self.rectify_shutters(is_last, watch),
+            Stage::Calibrations => self.judge_calibrations(watch),
             Stage::Loops => self.close_loops(watch),
             Stage::Gauge => {
                 self.restore_gauge();

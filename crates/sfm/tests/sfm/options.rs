@@ -22,6 +22,7 @@ type Set = (&'static str, fn(&mut MapperOptions, f64));
 fn numbers() -> [Set; 9] {
     let MapperOptions {
         refine: _,
+        keep_calibrations: _,
         tracks:
             TrackOptions {
                 max_create_error_px: _,
