@@ -32,6 +32,7 @@ use crate::stages::option_keys;
 use crate::stages::rig_calibration::known_rigs;
 use crate::stages::rig_hints::why_no_rig;
 use crate::stages::scale::scale_to_baseline;
+use crate::stages::unregistered::{gaps, unregistered_images};
 use crate::stages::warnings::warnings_of_models;
 use crate::workspace::database_scene::read_scene;
 use crate::workspace::file_names::{SPARSE, is_rig_name, model_path, rig_name};
@@ -318,7 +319,9 @@ impl<'a> MapRequest<'a> {
             run.emit(&Event::Noted { what })?;
         }
         let of_models = models.iter().map(|model| &model.reconstruction).zip(&reports);
-        let warnings = warnings_of_models(&input.scene, of_models);
+        let unregistered = unregistered_images(&input.graph, &models, &self.options);
+        let gaps = gaps(&input.graph, &models);
+        let warnings = warnings_of_models(&input.scene, of_models, gaps);
         // The rigs are written after every step that may fail: a run that ends before the stage is
         // complete repeats it and writes them again.
         if let Some(first) = models.first()
@@ -334,7 +337,7 @@ impl<'a> MapRequest<'a> {
             removed,
             database: None,
             report: Box::new(move |all, seconds| {
-                all.stages.map = Some(MapReport { seconds, notes });
+                all.stages.map = Some(MapReport { seconds, notes, unregistered });
                 all.models = reports;
                 all.warnings.retain(Warning::is_of_matches);
                 all.warnings.extend(warnings);

@@ -8,7 +8,7 @@ use tiepoint_sfm::scene::{CameraId, ImageId, Reconstruction};
 
 use crate::workspace::report::ModelReport;
 use crate::workspace::rig_report::RigCameraReport;
-use crate::workspace::warning::{ScaledImage, Warning};
+use crate::workspace::warning::{ModelGap, ScaledImage, Warning};
 
 /// Smallest deviation of an image's scale from the median of its camera, in standard deviations. Of
 /// normal errors one image in 1.7 million deviates by more.
@@ -41,10 +41,12 @@ const MIN_SHARE_BEHIND: f64 = 0.001;
 /// A model with fewer images is not another scene.
 const MIN_IMAGES_OF_SCENE: usize = 3;
 
-/// The warnings on all models. `initial`: the scene before mapping.
+/// The warnings on all models. `initial`: the scene before mapping. `gaps`: where the models come
+/// closest to each other.
 pub(crate) fn warnings_of_models<'a>(
     initial: &Reconstruction,
     models: impl IntoIterator<Item = (&'a Reconstruction, &'a ModelReport)>,
+    gaps: Vec<ModelGap>,
 ) -> Vec<Warning> {
     let mut warnings = Vec::new();
     let mut sizes = Vec::new();
@@ -59,7 +61,7 @@ pub(crate) fn warnings_of_models<'a>(
     }
     sizes.retain(|images| *images >= MIN_IMAGES_OF_SCENE);
     if sizes.len() > 1 {
-        warnings.insert(0, Warning::SeveralModels { images: sizes });
+        warnings.insert(0, Warning::SeveralModels { images: sizes, gaps });
     }
     warnings
 }
@@ -279,7 +281,7 @@ mod tests {
 
     fn warnings(initial: &Reconstruction, model: &Reconstruction) -> Vec<Warning> {
         let report = ModelReport { registered: model.num_registered(), ..ModelReport::default() };
-        warnings_of_models(initial, [(model, &report)])
+        warnings_of_models(initial, [(model, &report)], Vec::new())
     }
 
     #[test]
@@ -417,7 +419,7 @@ mod tests {
             };
             let rig = RigReport { cameras: vec![camera], ..RigReport::default() };
             let report = ModelReport { rig: Some(rig), registered: 8, ..ModelReport::default() };
-            let found = warnings_of_models(&model, [(&model, &report)]);
+            let found = warnings_of_models(&model, [(&model, &report)], Vec::new());
             let expected = Warning::RigScatter { model: String::new(), cameras: names, relative };
             assert_eq!(found, if is_silent { vec![] } else { vec![expected] });
         }
@@ -429,10 +431,13 @@ mod tests {
         let of = |sizes: [usize; 2]| {
             let reports =
                 sizes.map(|registered| ModelReport { registered, ..ModelReport::default() });
-            warnings_of_models(&model, reports.iter().map(|report| (&model, report)))
+            warnings_of_models(&model, reports.iter().map(|report| (&model, report)), Vec::new())
         };
         let images = vec![9, MIN_IMAGES_OF_SCENE];
-        assert_eq!(of([9, MIN_IMAGES_OF_SCENE]), [Warning::SeveralModels { images }]);
+        assert_eq!(
+            of([9, MIN_IMAGES_OF_SCENE]),
+            [Warning::SeveralModels { images, gaps: Vec::new() }]
+        );
         assert_eq!(of([9, MIN_IMAGES_OF_SCENE - 1]), []);
     }
 

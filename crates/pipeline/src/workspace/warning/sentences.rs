@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use super::{ScaledImage, Warning};
+use super::{ModelGap, ScaledImage, Warning};
 use crate::workspace::overlay_report::OverlayReport;
 
 /// More images or regions are counted, not listed.
@@ -14,14 +14,15 @@ impl fmt::Display for Warning {
             Self::StationaryMatches { matches, watermark_pairs, overlays } => {
                 f.write_str(&stationary(*matches, *watermark_pairs, overlays))
             }
-            Self::SeveralModels { images } => {
+            Self::SeveralModels { images, gaps } => {
                 let sizes: Vec<String> = images.iter().map(usize::to_string).collect();
                 write!(
                     f,
                     "the images give {} models without a common point, of {} images: they show \
-                    several places, or photos between them are missing",
+                    several places, or photos between them are missing{}",
                     images.len(),
-                    sizes.join(", ")
+                    sizes.join(", "),
+                    nearly_connected(gaps)
                 )
             }
             Self::FocalLength {
@@ -89,6 +90,22 @@ impl fmt::Display for Warning {
                 model is likely wrong"
             ),
         }
+    }
+}
+
+/// Which photos would connect the models.
+fn nearly_connected(gaps: &[ModelGap]) -> String {
+    let connected: Vec<String> = gaps
+        .iter()
+        .filter_map(|gap| {
+            let ([one, other], nearest) = (gap.images.as_ref()?, gap.nearest.as_ref()?);
+            let ModelGap { model, matches, .. } = gap;
+            Some(format!("{model} and {nearest} between {other} and {one} ({matches} matches)"))
+        })
+        .collect();
+    match connected.is_empty() {
+        true => String::new(),
+        false => format!("; photos would connect {}", listed(&connected)),
     }
 }
 
