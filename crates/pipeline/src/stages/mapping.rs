@@ -486,19 +486,25 @@ fn load_graph(workspace: &Workspace, scene: &Reconstruction) -> Result<Correspon
     Ok(graph)
 }
 
-/// [`Error::OneSpot`] if no image got a pose and most pairs agree with a homography, else `cause`.
+/// [`Error::OneSpot`] if no image got a pose and most pairs agree with a homography,
+/// [`Error::NoModel`] if fewer do and there is nothing to adjust, else `cause`.
 fn without_depth(workspace: &Workspace, graph: &CorrespondenceGraph, cause: sfm::Error) -> Error {
+    use sfm::adjust::Error::NothingToAdjust;
     let is_turn = |kind| matches!(kind, TwoViewKind::Panoramic | TwoViewKind::PlanarOrPanoramic);
     let turned = graph.pairs().values().filter(|view| is_turn(view.kind)).count();
     let verified = graph.pairs().len();
-    let is_nothing = matches!(
-        cause,
-        sfm::Error::Adjustment(sfm::adjust::Error::NothingToAdjust { images: 0, .. })
-            | sfm::Error::NoInitialPair { .. }
-    );
-    match is_nothing && 2 * turned > verified {
-        true => Error::OneSpot { path: workspace.root().to_owned(), turned, verified },
-        false => cause.into(),
+    let path = workspace.root().to_owned();
+    match cause {
+        sfm::Error::NoInitialPair { .. }
+        | sfm::Error::Adjustment(NothingToAdjust { images: 0, .. })
+            if 2 * turned > verified =>
+        {
+            Error::OneSpot { path, turned, verified }
+        }
+        sfm::Error::Adjustment(NothingToAdjust { images: 0, .. }) => {
+            Error::NoModel { path, turned, verified }
+        }
+        cause => cause.into(),
     }
 }
 
@@ -627,10 +633,11 @@ fn stage_models(workspace: &Workspace, models: &[MappedModel]) -> Result<Vec<Str
 
 #[cfg(test)]
 mod tests {
+    use sfm::adjust::Error::NothingToAdjust;
     use tiepoint_sfm::geometry::nalgebra::{UnitQuaternion, Vector3};
     use tiepoint_sfm::geometry::{CameraModelKind, Intrinsics, Rigid3};
     use tiepoint_sfm::rigs::{CalibratedCamera, CalibratedRig, RigConstraint, RigPair, SensorPair};
-    use tiepoint_sfm::scene::{Camera, ImagePair};
+    use tiepoint_sfm::scene::{Camera, ImagePair, Match, TwoView};
 
     use super::*;
     use crate::workspace::located_model::LocatedModel;
@@ -681,6 +688,27 @@ mod tests {
             num_loop_pairs: 0,
             failures: Vec::new(),
         }
+    }
+
+    #[test]
+    fn a_mapper_that_poses_no_image_is_a_sentence_on_the_photos() {
+        let dir = tempfile::tempdir().unwrap();
+        let workspace = Workspace::create(&dir.path().join("ws")).unwrap();
+        let message = |kinds: [TwoViewKind; 3]| {
+            let views = kinds.into_iter().zip(1..).map(|(kind, b)| {
+                let matches = vec![Match { a: 0, b: 0 }];
+                let pair = ImagePair::new(ImageId(0), ImageId(b)).unwrap();
+                (pair, TwoView { kind, matches, ..TwoView::default() })
+            });
+            let graph = CorrespondenceGraph::new(&[1; 4], views);
+            let nothing = NothingToAdjust { images: 0, points: 0, observations: 0 };
+            without_depth(&workspace, &graph, nothing.into()).to_string()
+        };
+        let (turned, general) = (TwoViewKind::PlanarOrPanoramic, TwoViewKind::Calibrated);
+        let found = message([turned, turned, general]);
+        assert!(found.contains("2 of the 3 pairs that match agree with a camera that"), "{found}");
+        let found = message([turned, general, general]);
+        assert!(found.contains("give no model: of the 3 pairs that match, 1 agree"), "{found}");
     }
 
     #[test]
