@@ -150,8 +150,11 @@ mod tests {
 
     const NUM_IMAGES: usize = 20;
 
-    /// Recordings of cameras: the centre of an image by its number, and the time of the first one.
-    fn model(recordings: &[(&dyn Fn(f64) -> Vector3<f64>, Option<f64>)]) -> Reconstruction {
+    /// The centre of an image by its number.
+    type Motion<'a> = &'a dyn Fn(f64) -> Vector3<f64>;
+
+    /// Recordings of cameras: their motion, and the time of the first image.
+    fn model(recordings: &[(Motion, Option<f64>)]) -> Reconstruction {
         let mut model = Reconstruction::default();
         for (index, (centre, begin_s)) in recordings.iter().enumerate() {
             let intrinsics = Intrinsics::centred(CameraModelKind::SimplePinhole, 500.0, 640, 480);
