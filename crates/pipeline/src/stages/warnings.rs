@@ -430,6 +430,22 @@ mod tests {
     }
 
     #[test]
+    fn a_split_names_the_photos_that_nearly_connect_it() {
+        let gap = |model: &str, images: Option<[&str; 2]>| ModelGap {
+            model: model.to_owned(),
+            nearest: images.map(|_| "sparse/0".to_owned()),
+            images: images.map(|images| images.map(str::to_owned)),
+            matches: 224,
+        };
+        // No pair of the third model with the others is verified.
+        let gaps = vec![gap("sparse/1", Some(["15.jpg", "16.jpg"])), gap("sparse/2", None)];
+        let text = Warning::SeveralModels { images: vec![15, 6, 3], gaps }.to_string();
+        let end = "; photos would connect sparse/1 and sparse/0 between 16.jpg and 15.jpg (224 \
+                   matches)";
+        assert!(text.ends_with(end), "{text}");
+    }
+
+    #[test]
     fn two_scenes_are_several_models_of_three_images_or_more() {
         let model = Reconstruction::default();
         let of = |sizes: [usize; 2]| {
