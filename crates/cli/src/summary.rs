@@ -11,6 +11,7 @@ use tiepoint_pipeline::models::RigidReport;
 use tiepoint_pipeline::sfm::geometry::CameraModelKind;
 use tiepoint_pipeline::workspace::{
     ConstraintKind, DenseReport, ModelReport, RigCamera, RigClockState, SplitReport,
+    why_unregistered,
 };
 
 use crate::output::printable;
@@ -151,12 +152,13 @@ fn stages(report: &Report) -> String {
                 ));
             }
         }
-        if let Some(model) = report.models.first().filter(|model| !model.unregistered.is_empty()) {
-            line(format_args!(
-                "          without a pose in {}: {}",
-                model.path,
-                names(&model.unregistered)
-            ));
+        let model = report.models.first().filter(|_| !map.unregistered.is_empty());
+        if let Some(ModelReport { path, images, .. }) = model {
+            let count = map.unregistered.len();
+            line(format_args!("missing   {count} of {images} images have no pose in {path}:"));
+            for reason in why_unregistered(&map.unregistered) {
+                line(format_args!("          {reason}"));
+            }
         }
     }
     if let Some(dense) = &report.stages.dense {

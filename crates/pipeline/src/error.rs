@@ -231,6 +231,20 @@ pub enum Error {
         /// Number of pairs with a two-view geometry.
         verified: usize,
     },
+    /// No pair of images that was tried keeps points.
+    #[error(
+        "the photos in {path} give no model: of the {verified} pairs that match, {turned} agree \
+        with a camera that turned on one spot, and no other keeps points with a depth; take photos \
+        from different places that overlap more"
+    )]
+    NoModel {
+        /// The workspace.
+        path: PathBuf,
+        /// Number of pairs whose matches agree with a homography.
+        turned: usize,
+        /// Number of pairs with a two-view geometry.
+        verified: usize,
+    },
     /// A similarity takes a model to numbers that are not finite.
     #[error(
         "cannot transform {path}: poses or points would not be finite numbers; check the scale and \

@@ -17,7 +17,7 @@ use tiepoint_pipeline::eval::geometry::numeric::median;
 use tiepoint_pipeline::eval::geometry::{Rigid3, Sim3, so3};
 use tiepoint_pipeline::evaluation::evaluate_rig;
 use tiepoint_pipeline::sfm::scene::{CameraId, ImageId, Reconstruction};
-use tiepoint_pipeline::workspace::{LocatedModel, REPORT, RIG};
+use tiepoint_pipeline::workspace::{LocatedModel, REPORT, RIG, why_unregistered};
 use tiepoint_pipeline::{Error, Report};
 
 use crate::coding::{base64, evenly};
@@ -313,8 +313,12 @@ pub fn view(
     };
     let table = Table::of_columns(&[name.to_string()], summary(model, report.as_ref()));
     let warnings = report.iter().flat_map(|report| &report.warnings);
-    let rows: Vec<TableRow> =
-        warnings.map(|warning| ("warning".to_owned(), vec![shown(&warning.to_string())])).collect();
+    let map = report.iter().filter_map(|report| report.stages.map.as_ref());
+    let missing = map.flat_map(|map| why_unregistered(&map.unregistered));
+    let rows: Vec<TableRow> = warnings
+        .map(|warning| ("warning".to_owned(), vec![shown(&warning.to_string())]))
+        .chain(missing.map(|reason| ("without a pose".to_owned(), vec![reason])))
+        .collect();
     let warnings = (!rows.is_empty()).then(|| Table::of_columns(&[String::new()], rows));
     let tables: Vec<Table> = std::iter::once(table).chain(warnings).collect();
     let section =

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use tiepoint_geometry::Rigid3;
+use tiepoint_rig::{interval_s, timestamp_jitter_s};
 use tiepoint_scene::{CameraId, ImageId, Reconstruction};
 
 /// Returns the images of each camera.
@@ -14,9 +15,27 @@ pub(crate) fn images_of_cameras(scene: &Reconstruction) -> BTreeMap<CameraId, Ve
     images
 }
 
-/// Returns the times of the images that have one, in order; `None` unless most images have a time.
+/// Returns the times of the images that have one, in order; `None` unless most images have a time,
+/// and if they are in whole seconds, as most in EXIF, that do not tell instants.
 /// A photo that lost its time is in no frame by time, and leaves the others their frames.
 pub(crate) fn images_in_time(
+    scene: &Reconstruction,
+    images: &[ImageId],
+) -> Option<Vec<(f64, ImageId)>> {
+    images_in_coarse_time(scene, images)
+        .filter(|times| !is_rounded(times.iter().map(|(time_s, _)| *time_s)))
+}
+
+/// Whether times were rounded to seconds: all are whole, and several images have one, or they are
+/// not as regular as those of an interval timer, whose times are exact but for one offset.
+fn is_rounded(times_s: impl Iterator<Item = f64>) -> bool {
+    let times_s: Vec<f64> = times_s.collect();
+    times_s.iter().all(|time_s| time_s.fract() == 0.0)
+        && (interval_s(&times_s) < 1.0 || timestamp_jitter_s(&times_s) > 0.0)
+}
+
+/// [`images_in_time`], also of times that were rounded to seconds.
+pub(crate) fn images_in_coarse_time(
     scene: &Reconstruction,
     images: &[ImageId],
 ) -> Option<Vec<(f64, ImageId)>> {
@@ -29,7 +48,8 @@ pub(crate) fn images_in_time(
     Some(times)
 }
 
-/// Returns the registered images of a camera with a time, in order of time.
+/// Returns the registered images of a camera with a time, in order of time; none if the times were
+/// rounded to seconds, which tell no motion.
 pub(crate) fn posed_in_time(
     model: &Reconstruction,
     camera: CameraId,
@@ -38,7 +58,7 @@ pub(crate) fn posed_in_time(
     let mut posed: Vec<_> =
         images.filter_map(|(id, image, pose)| Some((image.time_s?, id, *pose))).collect();
     posed.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-    posed
+    if is_rounded(posed.iter().map(|(time_s, ..)| *time_s)) { Vec::new() } else { posed }
 }
 
 /// Quantile of the speeds that defines the usual speed.

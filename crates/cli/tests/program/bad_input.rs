@@ -396,3 +396,20 @@ fn focal_lengths_that_no_lens_has() {
     wrong("--intrinsics 1e308,1e308,160,120", &["--intrinsics", "no lens", "0.png"]);
     wrong("--intrinsics 330,330,160,120,1e300,0,0,0", &["--intrinsics", "no lens", "0.png"]);
 }
+
+/// The user does not know the copy in the workspace.
+#[test]
+fn a_damaged_database_of_another_program_is_named() {
+    let dir = tempfile::tempdir().unwrap();
+    photos::write(&dir.path().join("photos"), 2, 0);
+    tiepoint_in(dir.path(), "features {}/photos -o {}/ws").done();
+    let theirs = dir.path().join("theirs.db");
+    for damage in ["keypoints SET data = x'00'", "cameras SET params = x'00'"] {
+        fs::copy(dir.path().join("ws/database.db"), &theirs).unwrap();
+        let connection = rusqlite::Connection::open(&theirs).unwrap();
+        connection.execute_batch(&format!("UPDATE {damage}")).unwrap();
+        drop(connection);
+        tiepoint_in(dir.path(), "reconstruct --database {}/theirs.db {}/photos -o {}/new")
+            .failed(1, &["theirs.db"]);
+    }
+}

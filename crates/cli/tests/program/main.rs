@@ -15,6 +15,7 @@ mod generated;
 mod hostile;
 #[cfg(unix)]
 mod hostile_folders;
+mod missing;
 mod model;
 mod names;
 mod overlays;

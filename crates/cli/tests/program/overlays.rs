@@ -46,7 +46,14 @@ fn two_places_with_one_logo_are_two_models() {
     let dir = tempfile::tempdir().unwrap();
     write_rooms(&dir.path().join("photos"));
     let text = tiepoint_in(dir.path(), "reconstruct {}/photos -o {}/w").done().stdout();
-    for part in ["warnings", "stand still while the scene moves", "no other matches", "2 models"] {
+    for part in [
+        "warnings",
+        "stand still while the scene moves",
+        "no other matches",
+        "2 models",
+        "missing   6 of 12 images have no pose in sparse/0",
+        "6 in sparse/1",
+    ] {
         assert!(text.contains(part), "{text}");
     }
     let report: Value =

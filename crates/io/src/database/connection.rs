@@ -364,6 +364,10 @@ pub(super) fn connect(file: &Path, path: &Path) -> Result<Connection> {
     Ok(connection)
 }
 
+/// What is said of a database whose lock another program holds.
+const IN_USE: &str = "another program has the database open and is using it: close that program, \
+                      or wait until it is done, and run the command again";
+
 /// Checkpoints the write-ahead log into the file and removes it.
 pub(super) fn checkpoint_log(connection: &Connection) -> rusqlite::Result<()> {
     for sql in ["PRAGMA wal_checkpoint(TRUNCATE)", "PRAGMA journal_mode = DELETE"] {
@@ -378,8 +382,11 @@ pub(super) fn checkpoint_log(connection: &Connection) -> rusqlite::Result<()> {
 /// Converts an error of SQLite; an interrupted statement exceeded its limit of steps.
 pub(super) fn error(path: &Path) -> impl Fn(rusqlite::Error) -> Error {
     move |cause| {
-        let is_stopped = cause.sqlite_error_code() == Some(ErrorCode::OperationInterrupted);
-        let cause = if is_stopped { guard::STOPPED.to_owned() } else { cause.to_string() };
+        let cause = match cause.sqlite_error_code() {
+            Some(ErrorCode::OperationInterrupted) => guard::STOPPED.to_owned(),
+            Some(ErrorCode::DatabaseBusy | ErrorCode::DatabaseLocked) => IN_USE.to_owned(),
+            _ => cause.to_string(),
+        };
         Error::Database { path: path.to_owned(), cause }
     }
 }
@@ -395,4 +402,26 @@ pub(super) fn numbers(bytes: &[u8], count: usize) -> Option<Vec<f64>> {
 /// Little-endian bytes of numbers.
 pub(super) fn bytes(values: &[f64]) -> Vec<u8> {
     values.iter().flat_map(|value| value.to_le_bytes()).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use super::*;
+
+    #[test]
+    fn a_lock_of_another_program_is_named_as_such() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("database.db");
+        let [other, ours] = [0; 2].map(|_| Connection::open(&path).unwrap());
+        ours.busy_timeout(Duration::ZERO).unwrap();
+        other.execute_batch("CREATE TABLE t (a); BEGIN EXCLUSIVE;").unwrap();
+        let cause = ours.execute_batch("SELECT * FROM t").unwrap_err();
+        let message = error(&path)(cause).to_string();
+        assert!(
+            message.contains("database.db: another program has the database open"),
+            "{message}"
+        );
+    }
 }

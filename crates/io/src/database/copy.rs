@@ -4,6 +4,7 @@ use std::path::Path;
 
 use rusqlite::backup::{Backup, StepResult};
 use rusqlite::params;
+use tiepoint_scene::ImageId;
 
 use super::connection::{Database, MAX_IMAGE_ID, checkpoint_log, error};
 use super::read_only::read_connection;
@@ -76,9 +77,21 @@ impl Database {
             database.transaction(Self::number_from_one)?;
             database.index_tables()?;
             database.make_trivial_rigs_regular()?;
+            database.read_all()?;
             database.path = path.to_owned();
             fill(database)
         })
+    }
+
+    /// Reads what is read of a copy later, when errors name the copy, which nobody knows.
+    fn read_all(&self) -> Result<()> {
+        self.read_cameras()?;
+        self.read_images()?;
+        for image in (0..self.num_images()).map(ImageId::from_index) {
+            self.read_keypoints(image)?;
+        }
+        self.matched_pairs()?;
+        self.read_two_views().map(drop)
     }
 
     /// Whether a table has a column.

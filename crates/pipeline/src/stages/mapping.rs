@@ -32,6 +32,7 @@ use crate::stages::option_keys;
 use crate::stages::rig_calibration::known_rigs;
 use crate::stages::rig_hints::why_no_rig;
 use crate::stages::scale::scale_to_baseline;
+use crate::stages::unregistered::{gaps, unregistered_images};
 use crate::stages::warnings::warnings_of_models;
 use crate::workspace::database_scene::read_scene;
 use crate::workspace::file_names::{SPARSE, is_rig_name, model_path, rig_name};
@@ -309,7 +310,9 @@ impl<'a> MapRequest<'a> {
             run.emit(&Event::Noted { what })?;
         }
         let of_models = models.iter().map(|model| &model.reconstruction).zip(&reports);
-        let warnings = warnings_of_models(&input.scene, of_models);
+        let unregistered = unregistered_images(&input.graph, &models, &self.options);
+        let gaps = gaps(&input.graph, &models);
+        let warnings = warnings_of_models(&input.scene, of_models, gaps);
         // The rigs are written after every step that may fail: a run that ends before the stage is
         // complete repeats it and writes them again.
         if let Some(first) = models.first()
@@ -325,7 +328,7 @@ impl<'a> MapRequest<'a> {
             removed,
             database: None,
             report: Box::new(move |all, seconds| {
-                all.stages.map = Some(MapReport { seconds, notes });
+                all.stages.map = Some(MapReport { seconds, notes, unregistered });
                 all.models = reports;
                 all.warnings.retain(Warning::is_of_matches);
                 all.warnings.extend(warnings);
@@ -474,19 +477,25 @@ fn load_graph(workspace: &Workspace, scene: &Reconstruction) -> Result<Correspon
     Ok(graph)
 }
 
-/// [`Error::OneSpot`] if no image got a pose and most pairs agree with a homography, else `cause`.
+/// [`Error::OneSpot`] if no image got a pose and most pairs agree with a homography,
+/// [`Error::NoModel`] if fewer do and there is nothing to adjust, else `cause`.
 fn without_depth(workspace: &Workspace, graph: &CorrespondenceGraph, cause: sfm::Error) -> Error {
+    use sfm::adjust::Error::NothingToAdjust;
     let is_turn = |kind| matches!(kind, TwoViewKind::Panoramic | TwoViewKind::PlanarOrPanoramic);
     let turned = graph.pairs().values().filter(|view| is_turn(view.kind)).count();
     let verified = graph.pairs().len();
-    let is_nothing = matches!(
-        cause,
-        sfm::Error::Adjustment(sfm::adjust::Error::NothingToAdjust { images: 0, .. })
-            | sfm::Error::NoInitialPair { .. }
-    );
-    match is_nothing && 2 * turned > verified {
-        true => Error::OneSpot { path: workspace.root().to_owned(), turned, verified },
-        false => cause.into(),
+    let path = workspace.root().to_owned();
+    match cause {
+        sfm::Error::NoInitialPair { .. }
+        | sfm::Error::Adjustment(NothingToAdjust { images: 0, .. })
+            if 2 * turned > verified =>
+        {
+            Error::OneSpot { path, turned, verified }
+        }
+        sfm::Error::Adjustment(NothingToAdjust { images: 0, .. }) => {
+            Error::NoModel { path, turned, verified }
+        }
+        cause => cause.into(),
     }
 }
 
@@ -615,10 +624,11 @@ fn stage_models(workspace: &Workspace, models: &[MappedModel]) -> Result<Vec<Str
 
 #[cfg(test)]
 mod tests {
+    use sfm::adjust::Error::NothingToAdjust;
     use tiepoint_sfm::geometry::nalgebra::{UnitQuaternion, Vector3};
     use tiepoint_sfm::geometry::{CameraModelKind, Intrinsics, Rigid3};
     use tiepoint_sfm::rigs::{CalibratedCamera, CalibratedRig, RigConstraint, RigPair, SensorPair};
-    use tiepoint_sfm::scene::{Camera, ImagePair};
+    use tiepoint_sfm::scene::{Camera, ImagePair, Match, TwoView};
 
     use super::*;
     use crate::workspace::located_model::LocatedModel;
@@ -670,6 +680,27 @@ mod tests {
             num_loop_pairs: 0,
             failures: Vec::new(),
         }
+    }
+
+    #[test]
+    fn a_mapper_that_poses_no_image_is_a_sentence_on_the_photos() {
+        let dir = tempfile::tempdir().unwrap();
+        let workspace = Workspace::create(&dir.path().join("ws")).unwrap();
+        let message = |kinds: [TwoViewKind; 3]| {
+            let views = kinds.into_iter().zip(1..).map(|(kind, b)| {
+                let matches = vec![Match { a: 0, b: 0 }];
+                let pair = ImagePair::new(ImageId(0), ImageId(b)).unwrap();
+                (pair, TwoView { kind, matches, ..TwoView::default() })
+            });
+            let graph = CorrespondenceGraph::new(&[1; 4], views);
+            let nothing = NothingToAdjust { images: 0, points: 0, observations: 0 };
+            without_depth(&workspace, &graph, nothing.into()).to_string()
+        };
+        let (turned, general) = (TwoViewKind::PlanarOrPanoramic, TwoViewKind::Calibrated);
+        let found = message([turned, turned, general]);
+        assert!(found.contains("2 of the 3 pairs that match agree with a camera that"), "{found}");
+        let found = message([turned, general, general]);
+        assert!(found.contains("give no model: of the 3 pairs that match, 1 agree"), "{found}");
     }
 
     #[test]

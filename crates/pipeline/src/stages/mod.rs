@@ -16,6 +16,7 @@ pub(crate) mod rig_calibration;
 pub(crate) mod rig_hints;
 pub(crate) mod scale;
 pub(crate) mod stationary;
+pub(crate) mod unregistered;
 pub(crate) mod verification;
 pub(crate) mod video;
 pub(crate) mod warnings;

@@ -4,8 +4,10 @@ use std::collections::BTreeMap;
 
 use tiepoint_input::sequences::prefix;
 use tiepoint_sfm::frame_names::pairs_by_name;
-use tiepoint_sfm::rigs::{rig_candidates, rig_pairs};
-use tiepoint_sfm::scene::Reconstruction;
+use tiepoint_sfm::rigs::{rig_candidates, rig_pairs, successive_cameras};
+use tiepoint_sfm::scene::{CameraId, Reconstruction};
+
+use crate::workspace::image_names::stream_of;
 
 /// Fewest photos of a camera of a vehicle.
 const MIN_PHOTOS: usize = 3;
@@ -15,6 +17,17 @@ const MIN_SHARE: f64 = 0.5;
 /// A sentence on photos that look like those of cameras of one vehicle, of which no frame is known:
 /// why, and what to do. `None` if nothing looks like it, or if frames are known.
 pub(crate) fn why_no_rig(scene: &Reconstruction) -> Option<String> {
+    let follows = |[first, later]: [CameraId; 2]| {
+        format!("{} follows {}", stream_of(scene, later), stream_of(scene, first))
+    };
+    let clips: Vec<String> = successive_cameras(scene).into_iter().map(follows).collect();
+    if !clips.is_empty() {
+        return Some(format!(
+            "no rig: {} and is nowhere beside it: recordings that follow each other are of one \
+            camera",
+            clips.join(", ")
+        ));
+    }
     let names: Vec<Vec<&str>> = rig_candidates(scene)
         .values()
         .map(|images| images.iter().map(|id| scene.image(*id).name.as_str()).collect())
@@ -76,7 +89,8 @@ fn are_alike(counts: impl Iterator<Item = usize>) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use tiepoint_sfm::geometry::{CameraModelKind, Intrinsics};
+    use tiepoint_sfm::geometry::nalgebra::Vector3;
+    use tiepoint_sfm::geometry::{CameraModelKind, Intrinsics, Rigid3};
     use tiepoint_sfm::scene::{Camera, Image};
 
     use super::*;
@@ -113,6 +127,24 @@ mod tests {
         assert_eq!(reason(&[left, &later[..2]]), None, "too few");
         assert_eq!(reason(&[left]), None);
         assert_eq!(reason(&[]), None);
+    }
+
+    #[test]
+    fn recordings_that_follow_each_other_are_named() {
+        let mut scene = Reconstruction::default();
+        let intrinsics = Intrinsics::centred(CameraModelKind::SimplePinhole, 500.0, 640, 480);
+        let camera = Camera { intrinsics, width: 640, height: 480, has_focal_prior: true };
+        for (index, clip) in ["clip1", "clip2"].into_iter().enumerate() {
+            let camera = scene.add_camera(camera);
+            for k in 0..9 {
+                let image = Image::new(format!("{clip}/{k}.png"), camera, Vec::new());
+                let image = scene.add_image(image);
+                let along = -Vector3::z() * (9 * index + k) as f64;
+                scene.register(image, Rigid3::new(Rigid3::identity().rotation, along));
+            }
+        }
+        let found = why_no_rig(&scene).unwrap();
+        assert!(found.contains("no rig: clip2 follows clip1"), "{found}");
     }
 
     #[test]

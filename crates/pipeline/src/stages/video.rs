@@ -132,8 +132,8 @@ fn open_frames(folder: &Path) -> Result<(OutputFolder, Option<Record>), Error> {
     }
 }
 
-/// The video files among the inputs and in input folders without images of any format; empty for
-/// photos.
+/// The video files among the inputs, and in input folders, or in their folders of cameras, without
+/// images of any format; empty for photos.
 ///
 /// # Errors
 ///
@@ -142,18 +142,16 @@ fn videos(inputs: &[PathBuf]) -> Result<Vec<PathBuf>, Error> {
     let mut files = Vec::new();
     for input in inputs {
         if input.is_dir() {
-            let entries = fs::read_dir(input).and_then(Iterator::collect::<Result<Vec<_>, _>>);
-            let entries = entries.map_err(Error::unreadable(input))?;
-            // Hidden files are ignored, as macOS's `._clip.mp4` beside `clip.mp4`.
-            let is_hidden = |path: &PathBuf| {
-                path.file_name().is_some_and(|name| name.as_encoded_bytes().starts_with(b"."))
-            };
-            let mut here: Vec<PathBuf> = entries.into_iter().map(|entry| entry.path()).collect();
-            here.retain(|path| !is_hidden(path));
-            here.sort();
+            let mut found = entries_of(input)?;
+            if !found.iter().any(|path| path.is_file()) {
+                let folders = found.iter().filter(|path| path.is_dir());
+                let of_cameras: Vec<_> = folders.map(|path| entries_of(path)).collect();
+                // What is wrong with a folder is said where photos are searched.
+                found = of_cameras.into_iter().flatten().flatten().collect();
+            }
             // Photos that are not read are named beside the photos, not passed over for videos.
-            if !here.iter().any(|path| is_image(path) || is_unread_image(path)) {
-                files.extend(here.into_iter().filter(|path| path.is_file() && is_video(path)));
+            if !found.iter().any(|path| is_image(path) || is_unread_image(path)) {
+                files.extend(found.into_iter().filter(|path| path.is_file() && is_video(path)));
             }
         } else if is_video(input) {
             files.push(input.clone());
@@ -167,6 +165,20 @@ fn videos(inputs: &[PathBuf]) -> Result<Vec<PathBuf>, Error> {
         }
         _ => Ok(files),
     }
+}
+
+/// What a folder holds, sorted. Hidden files are ignored, as macOS's `._clip.mp4` beside
+/// `clip.mp4`.
+fn entries_of(folder: &Path) -> Result<Vec<PathBuf>, Error> {
+    let entries = fs::read_dir(folder).and_then(Iterator::collect::<Result<Vec<_>, _>>);
+    let entries = entries.map_err(Error::unreadable(folder))?;
+    let is_hidden = |path: &PathBuf| {
+        path.file_name().is_some_and(|name| name.as_encoded_bytes().starts_with(b"."))
+    };
+    let mut here: Vec<PathBuf> = entries.into_iter().map(|entry| entry.path()).collect();
+    here.retain(|path| !is_hidden(path));
+    here.sort();
+    Ok(here)
 }
 
 /// Prefixes the names of recordings with their folders where two have the same name.
@@ -391,6 +403,18 @@ mod tests {
         let named = with_unique_names(recordings(&files).unwrap()).unwrap();
         let names: Vec<&str> = named.iter().map(|recording| recording.name.as_str()).collect();
         assert_eq!(names, ["left-GX010042", "right-GX010042"]);
+        // A folder of cameras, of videos or of photos.
+        fs::create_dir_all(path("drive/left")).unwrap();
+        fs::create_dir_all(path("drive/right")).unwrap();
+        for name in ["drive/left/run.mp4", "drive/right/run.mp4"] {
+            fs::write(path(name), "").unwrap();
+        }
+        let files = videos(&[path("drive")]).unwrap();
+        assert_eq!(files, ["drive/left/run.mp4", "drive/right/run.mp4"].map(path));
+        let named = with_unique_names(recordings(&files).unwrap()).unwrap();
+        assert_eq!([&*named[0].name, &*named[1].name], ["left-run", "right-run"]);
+        fs::write(path("drive/right/1.jpg"), "").unwrap();
+        assert_eq!(videos(&[path("drive")]).unwrap(), Vec::<PathBuf>::new());
         assert!(matches!(
             with_unique_names(recordings(&[path("left/a.mp4"), path("left/a.mov")]).unwrap()),
             Err(Error::Input(InputError::TwoVideosOfOneName { .. }))

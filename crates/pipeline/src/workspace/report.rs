@@ -10,6 +10,7 @@ use crate::workspace::file_names::DENSE_CLOUD;
 use crate::workspace::format::finite;
 use crate::workspace::overlay_report::OverlayReport;
 use crate::workspace::rig_report::RigReport;
+use crate::workspace::unregistered::UnregisteredImage;
 use crate::workspace::warning::Warning;
 use crate::{Error, Stage};
 
@@ -119,6 +120,9 @@ pub struct MapReport {
     /// What was noted about the photos, a sentence each.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub notes: Vec<String>,
+    /// The images without a pose in the largest model.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub unregistered: Vec<UnregisteredImage>,
 }
 
 /// Summary of dense reconstruction.

@@ -309,7 +309,7 @@ fn visible_to_neighbours(
 }
 
 /// Returns keypoints with the points of their correspondences. A keypoint may have several points.
-pub(super) fn candidates(
+pub(crate) fn candidates(
     graph: &CorrespondenceGraph,
     model: &Reconstruction,
     image: ImageId,

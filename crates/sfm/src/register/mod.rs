@@ -6,6 +6,7 @@ mod localize;
 mod next_image;
 mod visibility;
 
+pub(crate) use absolute_pose::candidates;
 pub use absolute_pose::{RegisterOptions, register_image};
 pub use localize::{Localization, QueryCamera, localize_image};
 pub(crate) use next_image::NextBestView;

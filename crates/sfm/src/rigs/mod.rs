@@ -20,6 +20,7 @@ mod rigid;
 mod sensor_pair;
 mod sigma_selection;
 mod solution;
+mod succession;
 
 pub use candidates::rig_candidates;
 pub(crate) use constrain::constrain_rig;
@@ -33,3 +34,4 @@ pub use rematch::Descriptors;
 pub use rigid::{RigidCamera, constrain_rigidly};
 pub use sensor_pair::{ClockState, ReferencePose, ReferencedImage, SensorPair, sensor_pairs};
 pub use solution::{CalibratedCamera, CalibratedRig, SplitRepair};
+pub use succession::successive_cameras;

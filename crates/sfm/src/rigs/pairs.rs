@@ -7,9 +7,9 @@
 use tiepoint_rig::{RelativePose, interval_s};
 use tiepoint_scene::{CameraId, ImageId, Reconstruction};
 
-use super::candidates::rig_candidates;
+use super::succession::rig_candidates_apart;
 use crate::frame_names::pairs_by_name;
-use crate::timeline::images_in_time;
+use crate::timeline::{images_in_coarse_time, images_in_time};
 
 /// Two images of one instant.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -34,7 +34,7 @@ pub struct RigPairs {
 /// Pairs the images of every camera that may be on a rig with those of the reference camera, which
 /// is the first one. Cameras without a pair are left out.
 pub fn rig_pairs(scene: &Reconstruction) -> Vec<RigPairs> {
-    let images = rig_candidates(scene);
+    let images = rig_candidates_apart(scene);
     let mut cameras = images.iter();
     let Some((&reference, reference_images)) = cameras.next() else { return Vec::new() };
     cameras
@@ -52,11 +52,13 @@ pub fn rig_pairs(scene: &Reconstruction) -> Vec<RigPairs> {
         .collect()
 }
 
+/// The median interval between images, in seconds.
+fn interval(images: &[(f64, ImageId)]) -> f64 {
+    interval_s(&images.iter().map(|(time_s, _)| *time_s).collect::<Vec<f64>>())
+}
+
 /// Returns the pairs of mutually nearest images in time, closer than half the median interval.
 pub(crate) fn by_time(references: &[(f64, ImageId)], others: &[(f64, ImageId)]) -> Vec<RigPair> {
-    let interval = |images: &[(f64, ImageId)]| {
-        interval_s(&images.iter().map(|(time_s, _)| *time_s).collect::<Vec<f64>>())
-    };
     let max_difference_s = 0.5 * interval(references).max(interval(others));
     let nearest = |time_s: f64, images: &[(f64, ImageId)]| -> usize {
         let after = images.partition_point(|image| image.0 < time_s);
@@ -75,7 +77,12 @@ pub(crate) fn by_time(references: &[(f64, ImageId)], others: &[(f64, ImageId)]) 
     pairs
 }
 
-/// Returns the pairs of images of one instant by their names.
+/// Shortest interval between the images of a camera whose times in whole seconds tell frames, in
+/// seconds: those of one instant differ by one at most.
+const MIN_COARSE_INTERVAL_S: f64 = 3.0;
+
+/// Returns the pairs of images of one instant by their names, or, if these tell none, by times that
+/// were rounded to seconds where the images are far enough apart.
 pub(crate) fn by_name(
     scene: &Reconstruction,
     references: &[ImageId],
@@ -86,7 +93,14 @@ pub(crate) fn by_name(
     };
     let pairs = pairs_by_name(&names(references), &names(others)).into_iter();
     let pair = |(a, b): (usize, usize)| RigPair { reference: references[a], other: others[b] };
-    pairs.map(pair).collect()
+    let pairs: Vec<RigPair> = pairs.map(pair).collect();
+    let coarse = |ids: &[ImageId]| {
+        images_in_coarse_time(scene, ids).filter(|times| interval(times) >= MIN_COARSE_INTERVAL_S)
+    };
+    match (coarse(references), coarse(others)) {
+        (Some(references), Some(others)) if pairs.is_empty() => by_time(&references, &others),
+        _ => pairs,
+    }
 }
 
 /// Returns the relative poses of the pairs with two registered images, in order of time.
@@ -164,6 +178,47 @@ mod tests {
         // Most have lost theirs: names are left.
         let others = [Some(0.1), None, None];
         assert_eq!(pairs(&scene(&references, &others)), [(0, 3), (1, 4), (2, 5)]);
+    }
+
+    /// EXIF has whole seconds. The second clock is 0.7 s ahead.
+    #[test]
+    fn times_in_whole_seconds_are_not_exact() {
+        let rounded = |begin_s: f64, intervals_s: &[f64]| -> Vec<Option<f64>> {
+            let mut time_s = begin_s;
+            let mut times = vec![Some(time_s.floor())];
+            times.extend(intervals_s.iter().map(|interval_s| {
+                time_s += interval_s;
+                Some(time_s.floor())
+            }));
+            times
+        };
+        // Two images a second, and one about every three seconds: numbers in names tell.
+        for intervals_s in [&[0.5; 5], &[2.7, 3.4, 2.6, 3.3, 3.1]] {
+            let scene = scene(&rounded(0.0, intervals_s), &rounded(0.7, intervals_s));
+            assert_eq!(pairs(&scene), [(0, 6), (1, 7), (2, 8), (3, 9), (4, 10), (5, 11)]);
+        }
+        // Other names: times tell only where images are far enough apart.
+        for (interval_s, expected) in [(0.5, 0), (3.3, 6)] {
+            let times = [0.0, 0.7].map(|begin_s| rounded(begin_s, &[interval_s; 5]));
+            let mut scene = scene(&times[0], &times[1]);
+            let ids: Vec<ImageId> = scene.images().map(|(id, _)| id).collect();
+            let mut renamed = Reconstruction::default();
+            let camera = *scene.camera(CameraId(0));
+            let cameras = [0, 1].map(|_| renamed.add_camera(camera));
+            for (index, id) in ids.into_iter().enumerate() {
+                let camera = cameras[index / 6];
+                let name = format!("{}/{}.png", index / 6, 100 + index * index);
+                let image = renamed.add_image(Image::new(name, camera, Vec::new()));
+                let time_s = scene.image(id).time_s;
+                renamed.set_time(image, time_s);
+            }
+            scene = renamed;
+            assert_eq!(pairs(&scene).len(), expected, "{interval_s} s");
+        }
+        // An interval timer of whole seconds is exact.
+        let seconds: Vec<Option<f64>> = (0..6).map(|k| Some(f64::from(k))).collect();
+        let late: Vec<Option<f64>> = (2..8).map(|k| Some(f64::from(k))).collect();
+        assert_eq!(pairs(&scene(&seconds, &late)), [(2, 6), (3, 7), (4, 8), (5, 9)]);
     }
 
     #[test]

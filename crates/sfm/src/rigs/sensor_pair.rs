@@ -17,8 +17,8 @@ use tiepoint_rig::{
 };
 use tiepoint_scene::{CameraId, ImageId, Reconstruction};
 
-use super::candidates::rig_candidates;
 use super::pairs::{RigPair, by_name, by_time};
+use super::succession::rig_candidates_apart;
 use crate::timeline::{images_in_time, images_of_cameras};
 
 /// An image of the non-reference camera, and the source of the reference camera's pose at that
@@ -190,7 +190,7 @@ const MIN_PHASE_S: f64 = 0.001;
 /// Pairs each camera that may be on a rig with the reference camera, which is the first one, and
 /// initialises the clocks from times, file names and motion.
 pub fn sensor_pairs(model: &Reconstruction) -> Vec<SensorPair> {
-    let cameras = rig_candidates(model);
+    let cameras = rig_candidates_apart(model);
     let mut cameras = cameras.iter();
     let Some((&reference, reference_images)) = cameras.next() else { return Vec::new() };
     cameras

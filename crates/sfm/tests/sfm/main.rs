@@ -17,3 +17,4 @@ mod repetition;
 mod rig;
 mod shutter;
 mod terms;
+mod unregistered;

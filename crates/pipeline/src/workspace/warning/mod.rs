@@ -26,6 +26,9 @@ pub enum Warning {
     SeveralModels {
         /// Number of images of each.
         images: Vec<usize>,
+        /// Where each model but the first comes closest to a larger one.
+        #[serde(default, skip_serializing_if = "Vec::is_empty")]
+        gaps: Vec<ModelGap>,
     },
     /// The focal length of a camera is far from the expected one.
     FocalLength {
@@ -116,6 +119,21 @@ pub struct ScaledImage {
     pub scale: f64,
     /// Standard deviation of the ratio.
     pub sd: f64,
+}
+
+/// Where a model comes closest to a larger one.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(expecting = "an object")]
+pub struct ModelGap {
+    /// Its folder.
+    pub model: String,
+    /// Folder of the larger model; none if no pair across is verified.
+    pub nearest: Option<String>,
+    /// The pair across with the most verified matches: an image of the larger model and one of
+    /// this.
+    pub images: Option<[String; 2]>,
+    /// Number of its matches.
+    pub matches: usize,
 }
 
 impl Warning {

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use super::{ScaledImage, Warning};
+use super::{ModelGap, ScaledImage, Warning};
 use crate::workspace::overlay_report::OverlayReport;
 
 /// More images or regions are counted, not listed.
@@ -14,16 +14,7 @@ impl fmt::Display for Warning {
             Self::StationaryMatches { matches, watermark_pairs, overlays } => {
                 f.write_str(&stationary(*matches, *watermark_pairs, overlays))
             }
-            Self::SeveralModels { images } => {
-                let sizes: Vec<String> = images.iter().map(usize::to_string).collect();
-                write!(
-                    f,
-                    "the images give {} models without a common point, of {} images: they show \
-                    several places, or photos between them are missing",
-                    images.len(),
-                    sizes.join(", ")
-                )
-            }
+            Self::SeveralModels { images, gaps } => f.write_str(&several_models(images, gaps)),
             Self::FocalLength {
                 model, camera, focal_px, expected_px: Some(expected_px), ..
             } => {
@@ -53,7 +44,13 @@ impl fmt::Display for Warning {
                 f,
                 "{camera_model} leaves residuals of {residual_px:.2} px that depend on the \
                 distance from the centre of camera {camera} of {model}: try \
-                `features.camera_model` {better}"
+                `features.camera_model` {better}{}",
+                // A fisheye as a perspective camera may have any focal length.
+                if better == "OPENCV" {
+                    ", or OPENCV_FISHEYE if the lens is a fisheye"
+                } else {
+                    ""
+                }
             ),
             Self::ImagesOfOtherFocalLength { model, camera, images } => write!(
                 f,
@@ -90,6 +87,28 @@ impl fmt::Display for Warning {
             ),
         }
     }
+}
+
+fn several_models(images: &[usize], gaps: &[ModelGap]) -> String {
+    let sizes: Vec<String> = images.iter().map(usize::to_string).collect();
+    let connected: Vec<String> = gaps
+        .iter()
+        .filter_map(|gap| {
+            let ([one, other], nearest) = (gap.images.as_ref()?, gap.nearest.as_ref()?);
+            let ModelGap { model, matches, .. } = gap;
+            Some(format!("{model} and {nearest} between {other} and {one} ({matches} matches)"))
+        })
+        .collect();
+    let connected = match connected.is_empty() {
+        true => String::new(),
+        false => format!("; photos would connect {}", listed(&connected)),
+    };
+    format!(
+        "the images give {} models without a common point, of {} images: they show several places, \
+        or photos between them are missing{connected}",
+        images.len(),
+        sizes.join(", ")
+    )
 }
 
 fn stationary(matches: usize, watermark_pairs: usize, overlays: &[OverlayReport]) -> String {

@@ -1,0 +1,37 @@
+//! What the program says of images without a pose.
+
+use std::fs;
+
+use serde_json::{Value, json};
+
+use crate::photos::photo;
+use crate::tiepoint_in;
+
+/// Photos of a room, and their seed; another seed is another room.
+const PHOTOS: usize = 5;
+const ROOM: u64 = 0;
+const OTHER_ROOM: u64 = 77;
+
+#[test]
+fn a_photo_of_another_place_is_named_with_its_reason() {
+    let dir = tempfile::tempdir().unwrap();
+    let folder = dir.path().join("photos");
+    fs::create_dir(&folder).unwrap();
+    for index in 0..PHOTOS {
+        photo(index, ROOM).save(folder.join(format!("{index}.png"))).unwrap();
+    }
+    photo(0, OTHER_ROOM).save(folder.join("other.png")).unwrap();
+    let text = tiepoint_in(dir.path(), "reconstruct {}/photos -o {}/w").done().stdout();
+    for part in ["missing   1 of 6 images have no pose in sparse/0", "1 without a verified pair"] {
+        assert!(text.contains(part), "{text}");
+    }
+    let report: Value =
+        serde_json::from_slice(&fs::read(dir.path().join("w/report.json")).unwrap()).unwrap();
+    assert_eq!(
+        report["stages"]["map"]["unregistered"],
+        json!([{ "image": "other.png", "model": "sparse/0", "reason": "no_pair" }])
+    );
+    tiepoint_in(dir.path(), "view {}/w").done();
+    let page = fs::read_to_string(dir.path().join("w/report.html")).unwrap();
+    assert!(page.contains("1 without a verified pair"), "the page says it, too");
+}
