@@ -134,6 +134,9 @@ impl<'a> Growth<'a> {
         let has_pose = |image: &ImageId| model.image(*image).cam_from_world().is_some();
         let neighbours = images.iter().flat_map(|image| graph.neighbours(*image));
         let neighbours: BTreeSet<ImageId> = neighbours.copied().filter(has_pose).collect();
+        if neighbours.is_empty() {
+            return None;
+        }
         let tracks = TrackOptions { min_angle_rad: MIN_WEAK_ANGLE_RAD, ..options.tracks };
         for image in neighbours {
             triangulate_image(graph, model, image, &tracks);

@@ -53,14 +53,19 @@ pub(super) fn join_models(
             larger += 1;
             continue;
         };
-        let mut refiner = Refiner::new(input, model, reborrow(terms));
-        refiner.solution.initial_pair = models[larger].initial_pair;
-        // Images that neither model could register may be registered now.
         let others = models.iter().enumerate().filter(|(k, _)| ![larger, smaller].contains(k));
         let taken = others.flat_map(|(_, model)| registered(&model.reconstruction)).collect();
-        let mut growth = Growth::new(refiner, taken);
-        growth.grow(watch)?;
-        models[larger] = growth.refiner.run_stages(descriptors, watch)?;
+        let mut refiner = Refiner::new(input, model, reborrow(terms));
+        refiner.solution.initial_pair = models[larger].initial_pair;
+        match finish(Growth::new(refiner, taken), descriptors, watch) {
+            Ok(model) => models[larger] = model,
+            Err(Error::Cancelled) => return Err(Error::Cancelled),
+            // The models stay separate.
+            Err(_) => {
+                larger += 1;
+                continue;
+            }
+        }
         models.remove(smaller);
         let num_images = models[larger].reconstruction.num_registered();
         notify(watch, &Event::Merged { num_images })?;
@@ -68,6 +73,16 @@ pub(super) fn join_models(
         larger = 0;
     }
     Ok(())
+}
+
+/// Registers images that neither model could register, and runs the stages.
+fn finish(
+    mut growth: Growth,
+    descriptors: &mut Descriptors,
+    watch: &mut Watch,
+) -> Result<MappedModel, Error> {
+    growth.grow(watch)?;
+    growth.refiner.run_stages(descriptors, watch)
 }
 
 /// The largest model first: by images, then by points.
