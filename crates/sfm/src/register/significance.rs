@@ -59,8 +59,8 @@ mod tests {
     const MAX_ERROR_PX: f64 = 12.0;
     const CAMERA_SIZE: (u32, u32) = (1024, 768);
     const FOCAL_PX: f64 = 800.0;
-    /// Poses from wrong correspondences alone: as many draws as one false alarm is expected in at
-    /// most, a fifth of them, so that the test is quick.
+    /// Draws of wrong correspondences alone: a fifth of a thousand, in which the level lets at most
+    /// one be significant.
     const DRAWS: u64 = 200;
     const CANDIDATES: usize = 40;
 

@@ -28,9 +28,9 @@ const POINTS: usize = 1600;
 const FEW: usize = 24;
 /// Standard deviation of the keypoints, in pixels.
 const NOISE_PX: f64 = 0.3;
-/// Twice the error of the half walks alone, in metres: a scale or rotation of the second half that
-/// is wrong by a tenth gives 0.5 m.
-const MAX_ATE_M: f64 = 0.1;
+/// In metres: three times the largest error of the three seeds, 6.5 mm. A scale of the second half
+/// that is wrong by a tenth gives decimetres, as the halves are 5 m long.
+const MAX_ATE_M: f64 = 0.02;
 
 struct Walk {
     truth: Reconstruction,
