@@ -45,7 +45,8 @@ pub enum Event {
     },
     /// A stage failed. The model is as it was before the stage.
     Failed(Failure),
-    /// Two models without common points were merged, because their cameras move as one rig.
+    /// Two models were merged: growth from one of them reached the other, or their cameras move as
+    /// one rig.
     Merged {
         /// Registered images of the merged model.
         num_images: usize,

@@ -22,7 +22,7 @@ impl Refiner<'_> {
         if !self.input.options.keep_calibrations {
             return Ok(());
         }
-        let options = self.adjust_options(&RefinementSchedule::BEFORE_LOOP_CLOSURE);
+        let options = self.adjust_options(&RefinementSchedule::FINAL);
         let model = &self.solution.model;
         // A model that is too weak for an answer keeps its priors.
         let found = calibration_evidence(&without_points_at_infinity(model), &options);
@@ -38,6 +38,6 @@ impl Refiner<'_> {
                 model.calibrated.insert(id);
             }
         }
-        self.refine_globally(&RefinementSchedule::BEFORE_LOOP_CLOSURE, watch)
+        self.refine_globally(&RefinementSchedule::FINAL, watch)
     }
 }

@@ -51,7 +51,7 @@ impl Existing {
 /// The similarity b_from_a of poses `cam_from_a` and `cam_from_b` of the same cameras: the mean
 /// rotation (chordal L2 mean, Hartley et al. 2013, section 5.3), and scale and translation by least
 /// squares over the centres. `None` without two different centres.
-fn similarity_of_poses(pairs: &[(Rigid3, Rigid3)]) -> Option<Sim3> {
+pub(super) fn similarity_of_poses(pairs: &[(Rigid3, Rigid3)]) -> Option<Sim3> {
     let mut sum = Matrix3::zeros();
     for (cam_from_a, cam_from_b) in pairs {
         sum += (cam_from_b.rotation.inverse() * cam_from_a.rotation).to_rotation_matrix().matrix();

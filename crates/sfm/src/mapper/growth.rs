@@ -13,8 +13,13 @@ use super::refiner::Refiner;
 use crate::Error;
 use crate::event::{Event, Watch, notify};
 use crate::known_frames::KnownFrames;
-use crate::register::NextBestView;
-use crate::tracks::triangulate_image;
+use crate::register::{Evidence, NextBestView};
+use crate::tracks::{TrackOptions, filter_all_points, triangulate_image};
+
+/// Minimum angle of points that register one image and then are filtered as all are (0.5°). With an
+/// error of a pixel, such a point misses an image that sees it at an angle of 4° by √2 · 4 / 0.5 =
+/// 11 px, less than the threshold of registration.
+const MIN_WEAK_ANGLE_RAD: f64 = 0.0087;
 
 /// A growing model.
 pub(super) struct Growth<'a> {
@@ -32,6 +37,8 @@ enum Extent {
     All,
     /// A trial of an initial pair or of focal lengths.
     Trial { max_images: usize },
+    /// Those that another model has and that do not wait for others, until it overlaps enough.
+    Overlap { max_images: usize },
 }
 
 impl<'a> Growth<'a> {
@@ -58,6 +65,19 @@ impl<'a> Growth<'a> {
         Self { extent: Extent::Trial { max_images }, ..Self::new(refiner, mapped_images) }
     }
 
+    /// Grows a model by images of another one, all that are not in `mapped_images`.
+    pub(super) fn overlap(
+        refiner: Refiner<'a>,
+        mapped_images: BTreeSet<ImageId>,
+        max_images: usize,
+    ) -> Self {
+        let extent = Extent::Overlap { max_images };
+        let mut growth = Self { extent, ..Self::new(refiner, mapped_images) };
+        let Refiner { input, solution, .. } = &growth.refiner;
+        growth.next_best_view.learn_recalls(input.graph, &solution.model, &input.options.register);
+        growth
+    }
+
     pub(super) fn model(&self) -> &Reconstruction {
         &self.refiner.solution.model
     }
@@ -68,7 +88,7 @@ impl<'a> Growth<'a> {
         let mut images_at_global = self.model().num_registered();
         let mut points_at_global = self.model().num_tracks();
         loop {
-            while let Some(image) = self.register_next() {
+            while let Some(image) = self.register_usual() {
                 self.add_image(image, watch)?;
                 let (images, points) = (self.model().num_registered(), self.model().num_tracks());
                 let factor = self.refiner.input.options.global_growth;
@@ -83,9 +103,49 @@ impl<'a> Growth<'a> {
             self.refiner.refine_globally(&RefinementSchedule::GROWING, watch)?;
             self.next_best_view.reset_trials();
             // Retries one failed image.
-            let Some(image) = self.register_next() else { return Ok(()) };
+            let next = self.register_usual().or_else(|| self.register_weak());
+            let Some(image) = next else { return Ok(()) };
             self.add_image(image, watch)?;
         }
+    }
+
+    /// Registers an image with the usual evidence, which also takes deferred images in the end.
+    fn register_usual(&mut self) -> Option<ImageId> {
+        if matches!(self.extent, Extent::Overlap { .. }) {
+            return None;
+        }
+        self.register_next(Evidence::Usual)
+    }
+
+    /// Registers an image with less evidence, where nothing else is left: first with the points of
+    /// the model, then also with points of small angles. Trials compare the support of usual
+    /// images.
+    fn register_weak(&mut self) -> Option<ImageId> {
+        if matches!(self.extent, Extent::Trial { .. }) {
+            return None;
+        }
+        let next = self.register_next(Evidence::Significant);
+        if next.is_some() {
+            return next;
+        }
+        let images = self.frontier();
+        let Input { graph, options, .. } = self.refiner.input;
+        let model = &mut self.refiner.solution.model;
+        let has_pose = |image: &ImageId| model.image(*image).cam_from_world().is_some();
+        let neighbours = images.iter().flat_map(|image| graph.neighbours(*image));
+        let neighbours: BTreeSet<ImageId> = neighbours.copied().filter(has_pose).collect();
+        if neighbours.is_empty() {
+            return None;
+        }
+        let tracks = TrackOptions { min_angle_rad: MIN_WEAK_ANGLE_RAD, ..options.tracks };
+        for image in neighbours {
+            triangulate_image(graph, model, image, &tracks);
+        }
+        let next = self.register_next(Evidence::Significant);
+        if next.is_none() {
+            filter_all_points(&mut self.refiner.solution.model, &options.filter);
+        }
+        next
     }
 
     /// Triangulates the points of a new image and of its frame, adjusts it with its neighbours, and
@@ -123,8 +183,8 @@ impl<'a> Growth<'a> {
     }
 
     /// Registers the next image; `None` if no image can be registered.
-    fn register_next(&mut self) -> Option<ImageId> {
-        if let Extent::Trial { max_images } = self.extent
+    fn register_next(&mut self, evidence: Evidence) -> Option<ImageId> {
+        if let Extent::Trial { max_images } | Extent::Overlap { max_images } = self.extent
             && self.model().num_registered() >= max_images
         {
             return None;
@@ -132,7 +192,7 @@ impl<'a> Growth<'a> {
         let images = self.frontier();
         let Input { graph, options, .. } = self.refiner.input;
         let model = &mut self.refiner.solution.model;
-        self.next_best_view.register_next(graph, model, images, &options.register)
+        self.next_best_view.register_next(graph, model, images, &options.register, evidence)
     }
 
     /// The new images with the images that share most points with them, and their frames.
@@ -205,8 +265,9 @@ mod tests {
         let impossible = RegisterOptions { min_inlier_ratio: 1.1, ..options.register };
         for _ in 0..TRIALS {
             let model = &mut growth.refiner.solution.model;
-            let found =
-                growth.next_best_view.register_next(&graph, model, vec![failing], &impossible);
+            let images = vec![failing];
+            let next = &mut growth.next_best_view;
+            let found = next.register_next(&graph, model, images, &impossible, Evidence::Usual);
             assert_eq!(found, None);
         }
         let mut reported = BTreeSet::from([pair.a, pair.b]);

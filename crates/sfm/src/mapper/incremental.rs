@@ -8,6 +8,7 @@ use tiepoint_scene::{CorrespondenceGraph, ImageId, Reconstruction};
 use super::focal_trials::choose_focal_lengths;
 use super::growth::Growth;
 use super::input::Input;
+use super::join::registered;
 use super::refiner::Refiner;
 use crate::Error;
 use crate::event::Watch;
@@ -48,10 +49,8 @@ pub(super) fn map_rest(
     descriptors: &mut Descriptors,
     watch: &mut Watch,
 ) -> Result<Vec<MappedModel>, Error> {
-    let registered = |model: &MappedModel| -> Vec<ImageId> {
-        model.reconstruction.registered().map(|(id, ..)| id).collect()
-    };
-    let mut mapped_images: BTreeSet<ImageId> = models.iter().flat_map(registered).collect();
+    let of_models = models.iter().flat_map(|model| registered(&model.reconstruction));
+    let mut mapped_images: BTreeSet<ImageId> = of_models.collect();
     loop {
         let refiner = Refiner::new(input, input.scene.clone(), reborrow(terms));
         let growth = Growth::new(refiner, mapped_images.clone());
@@ -63,7 +62,7 @@ pub(super) fn map_rest(
             // The remaining images cannot be mapped. The earlier models are kept.
             Err(_) => break,
         };
-        let registered = registered(&mapped);
+        let registered = registered(&mapped.reconstruction);
         if models.is_empty() || registered.len() >= input.options.min_model_size {
             models.push(mapped);
         }

@@ -8,6 +8,7 @@ mod growth;
 mod incremental;
 mod input;
 mod intrinsics_sds;
+mod join;
 mod known_rigs;
 mod loops;
 mod merge;

@@ -9,6 +9,7 @@ use super::existing::ExistingPoses;
 use super::extend::extend;
 use super::incremental::{initial_focal_lengths, map_rest, without_model};
 use super::input::Input;
+use super::join::{join_models, sort_by_size};
 use super::merge::merge_rig_models;
 use crate::Error;
 use crate::event::{Event, Watch};
@@ -121,7 +122,10 @@ impl<'a> Mapper<'a> {
             return map_rest(input, vec![first], &mut terms, descriptors, watch);
         }
         let mut models = map_rest(input, Vec::new(), &mut terms, descriptors, watch)?;
-        models.sort_by_key(|model| std::cmp::Reverse(model.reconstruction.num_registered()));
+        sort_by_size(&mut models);
+        if known_rigs.is_none() {
+            join_models(input, &mut models, &mut terms, descriptors, watch)?;
+        }
         if matches!(options.rig, RigMode::Soft | RigMode::Rigid | RigMode::Auto) {
             merge_rig_models(input, &mut models, &mut terms, descriptors, watch)?;
         }

@@ -40,15 +40,17 @@ enum Stage {
     Rig,
 }
 
+/// Calibrations are judged when loops are closed, because these determine focal lengths.
+///
 /// The first rolling-shutter stage comes before loop closure: a rolling shutter changes the scale
 /// along a drive, sevenfold in 2 km, and no loop closes over such a change.
 const STAGES: [Stage; 8] = [
     Stage::Refine(RefinementSchedule::BEFORE_LOOP_CLOSURE),
     Stage::RollingShutter { is_last: false },
-    Stage::Calibrations,
     Stage::Loops,
     Stage::Refine(RefinementSchedule::FINAL),
     Stage::RollingShutter { is_last: true },
+    Stage::Calibrations,
     Stage::Gauge,
     Stage::Rig,
 ];

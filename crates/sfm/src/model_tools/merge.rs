@@ -42,8 +42,18 @@ pub fn merge_model(
     max_error_px: f64,
 ) -> Result<MergeOutcome, Error> {
     let alignment = align_models(other, model, max_error_px)?;
+    Ok(merge_aligned(model, other, alignment, max_error_px))
+}
+
+/// Merges `other` into `model` by the similarity of an alignment, as [`merge_model`].
+pub(crate) fn merge_aligned(
+    model: &mut Reconstruction,
+    other: &Reconstruction,
+    alignment: ModelAlignment,
+    max_error_px: f64,
+) -> MergeOutcome {
     let mut outcome = MergeOutcome { alignment, new_images: 0, new_points: 0, merged_points: 0 };
-    let Some(model_from_other) = alignment.reference_from_model else { return Ok(outcome) };
+    let Some(model_from_other) = alignment.reference_from_model else { return outcome };
     let mut other = other.clone();
     other.transform(&model_from_other);
 
@@ -89,7 +99,7 @@ pub fn merge_model(
     }
     let options = FilterOptions { max_error_px, ..FilterOptions::default() };
     filter_points(model, &changed, &options);
-    Ok(outcome)
+    outcome
 }
 
 /// Adds the images that only `other` has. Returns the image in `model` of each image of `other`

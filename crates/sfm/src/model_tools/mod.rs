@@ -8,5 +8,6 @@ mod transfer;
 
 pub use align::{ModelAlignment, align_models};
 pub use crop::{BoundingBox, crop};
+pub(crate) use merge::merge_aligned;
 pub use merge::{MergeOutcome, merge_model};
 pub use transfer::{Transferred, transfer_model};

@@ -9,11 +9,13 @@ use std::collections::BTreeSet;
 
 use tiepoint_geometry::estimate::{RigCamera, RigObservation};
 use tiepoint_geometry::nalgebra::{Vector2, Vector3};
-use tiepoint_geometry::{OptionError, RansacOptions, Report, Rigid3, estimate};
+use tiepoint_geometry::{RansacOptions, Report, Rigid3, estimate};
 use tiepoint_scene::rig::KnownFrame;
-use tiepoint_scene::{
-    Camera, CorrespondenceGraph, Frame, ImageId, Observation, PointId, Reconstruction,
-};
+use tiepoint_scene::{CorrespondenceGraph, Frame, ImageId, Observation, PointId, Reconstruction};
+
+use super::evidence::Evidence;
+use super::options::RegisterOptions;
+use super::recall::{Recall, visible_to_neighbours};
 
 /// A second pose is considered if it has at least this fraction of the first pose's inliers. It is
 /// selected if its recall is larger by the factor `MIN_ADVANTAGE`, or larger at all if only the
@@ -21,41 +23,6 @@ use tiepoint_scene::{
 /// the recall of wrong ones.
 const MIN_SECOND_INLIERS: f64 = 0.5;
 const MIN_ADVANTAGE: f64 = 1.25;
-/// Views of a point whose directions differ by less than 10° and whose distances differ by less
-/// than a quarter match well (Mikolajczyk & Schmid 2005).
-const MAX_VIEW_ANGLE_RAD: f64 = 0.175;
-const MAX_DISTANCE_RATIO: f64 = 1.25;
-
-/// Thresholds of registration.
-#[derive(Clone, Copy, Debug)]
-pub struct RegisterOptions {
-    /// Maximum reprojection error of an inlier, in pixels.
-    pub max_error_px: f64,
-    /// Minimum number of inliers.
-    pub min_num_inliers: usize,
-    /// Minimum fraction of inliers.
-    pub min_inlier_ratio: f64,
-}
-
-impl RegisterOptions {
-    /// Checks the ranges.
-    ///
-    /// # Errors
-    ///
-    /// Names the first option that is out of range.
-    pub fn validate(&self) -> Result<(), OptionError> {
-        OptionError::check_positive("register.max_error_px", self.max_error_px)?;
-        let least = self.min_num_inliers;
-        OptionError::check("register.min_num_inliers", least as f64, least >= 1, "at least 1")?;
-        OptionError::check_ratio("register.min_inlier_ratio", self.min_inlier_ratio)
-    }
-}
-
-impl Default for RegisterOptions {
-    fn default() -> Self {
-        Self { max_error_px: 12.0, min_num_inliers: 30, min_inlier_ratio: 0.25 }
-    }
-}
 
 /// Estimates and sets the pose of `image`, and adds its inliers to the tracks. Returns the number
 /// of inliers; `None` without changes if there are too few.
@@ -66,10 +33,9 @@ pub fn register_image(
     options: &RegisterOptions,
     seed: u64,
 ) -> Option<usize> {
+    let unit = RegistrationUnit::Image(image);
     let placement =
-        estimate_placement(graph, model, &RegistrationUnit::Image(image), options, seed, &|_| {
-            true
-        })?;
+        estimate_placement(graph, model, &unit, options, Evidence::Usual, seed, &|_| true)?;
     placement.apply(model);
     Some(placement.inliers.len())
 }
@@ -162,8 +128,9 @@ pub(crate) struct Placement {
     pub(super) inliers: Vec<(Observation, PointId)>,
     /// Number of expected points that the inliers contain.
     num_found: usize,
-    /// Visible-point recall: `num_found` relative to the number of expected points.
-    pub(crate) recall: f64,
+    /// Visible-point recall: `num_found` relative to the number of expected points; `None` with too
+    /// few of them.
+    pub(crate) recall: Option<f64>,
     /// Whether the caller's check accepts the pose.
     pub(crate) is_plausible: bool,
 }
@@ -192,6 +159,7 @@ pub(crate) fn estimate_placement(
     model: &Reconstruction,
     view: &RegistrationUnit,
     options: &RegisterOptions,
+    evidence: Evidence,
     seed: u64,
     is_plausible: &dyn Fn(&Rigid3) -> bool,
 ) -> Option<Placement> {
@@ -216,16 +184,11 @@ pub(crate) fn estimate_placement(
         let inliers: Vec<(Observation, PointId)> = inliers.map(|(one, _)| *one).collect();
         let found_points: BTreeSet<(ImageId, PointId)> =
             inliers.iter().map(|(observation, point)| (observation.image, *point)).collect();
-        let (mut num_expected, mut num_found) = (0, 0);
+        let mut recall = Recall::default();
         for ((image, pose), visible) in poses.iter().zip(&visible_to_neighbours) {
-            let camera = model.camera_of(*image);
-            for point in visible.iter().filter(|point| is_expected(model, camera, pose, **point)) {
-                num_expected += 1;
-                num_found += usize::from(found_points.contains(&(*image, *point)));
-            }
+            recall
+                .add(model, *image, pose, visible, |point| found_points.contains(&(*image, point)));
         }
-        // With few expected points the recall is not informative.
-        let is_informative = num_expected >= options.min_num_inliers.max(1);
         let is_plausible = poses.first().is_some_and(|(_, pose)| is_plausible(pose));
         let placement = Placement {
             poses,
@@ -238,14 +201,15 @@ pub(crate) fn estimate_placement(
                 }),
             },
             inliers,
-            num_found,
-            recall: if is_informative { num_found as f64 / num_expected as f64 } else { 1.0 },
+            num_found: recall.num_found,
+            recall: recall.share(options),
             is_plausible,
         };
         (placement.inliers.len() >= min_inliers).then_some(placement)
     };
-    let best = estimate_from(&candidates, options.min_num_inliers)?;
-    if (best.inliers.len() as f64) < options.min_inlier_ratio * candidates.len() as f64 {
+    let best = estimate_from(&candidates, evidence.min_num_inliers(options))?;
+    let of_best = [&candidates[..], &best.inliers];
+    if !evidence.suffices(graph, model, &best.poses, of_best, options) {
         return None;
     }
     // The outliers of the best pose may support another pose.
@@ -264,48 +228,9 @@ pub(crate) fn estimate_placement(
                 if second.is_plausible && !best.is_plausible { 1.0 } else { MIN_ADVANTAGE };
             (second.is_plausible || !best.is_plausible)
                 && second.num_found >= options.min_num_inliers
-                && second.recall > advantage * best.recall
+                && second.recall.unwrap_or(1.0) > advantage * best.recall.unwrap_or(1.0)
         });
     Some(second.unwrap_or(best))
-}
-
-/// Whether an image with this pose should observe a point: the point projects into the image, and
-/// some image observes it from a similar direction and distance.
-fn is_expected(
-    model: &Reconstruction,
-    camera: &Camera,
-    cam_from_world: &Rigid3,
-    point: PointId,
-) -> bool {
-    let Some(track) = model.track(point) else { return false };
-    let is_inside = camera
-        .intrinsics
-        .project(&(*cam_from_world * track.xyz))
-        .is_some_and(|pixel| camera.contains(&pixel));
-    let ray = track.xyz - cam_from_world.origin_in_a();
-    let is_similar_view = |observation: &Observation| {
-        model.image(observation.image).cam_from_world().is_some_and(|pose| {
-            let other_ray = track.xyz - pose.origin_in_a();
-            let ratio = ray.norm() / other_ray.norm();
-            ray.angle(&other_ray) < MAX_VIEW_ANGLE_RAD
-                && ratio.max(1.0 / ratio) < MAX_DISTANCE_RATIO
-        })
-    };
-    is_inside && track.observations.iter().any(is_similar_view)
-}
-
-/// The points that the neighbours of an image in the graph observe, in order of their ids.
-fn visible_to_neighbours(
-    graph: &CorrespondenceGraph,
-    model: &Reconstruction,
-    image: ImageId,
-) -> Vec<PointId> {
-    let neighbours = graph.neighbours(image).iter();
-    let mut points: Vec<PointId> =
-        neighbours.flat_map(|&other| model.image(other).points()).flatten().copied().collect();
-    points.sort_unstable();
-    points.dedup();
-    points
 }
 
 /// Returns keypoints with the points of their correspondences. A keypoint may have several points.

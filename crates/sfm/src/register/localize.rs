@@ -4,7 +4,9 @@ use tiepoint_geometry::nalgebra::{Vector2, Vector3};
 use tiepoint_geometry::{Intrinsics, Loss, RansacOptions, Rigid3, estimate};
 use tiepoint_scene::{CorrespondenceGraph, ImageId, Observation, PointId, Reconstruction};
 
-use super::absolute_pose::{RegisterOptions, RegistrationUnit, candidates, estimate_placement};
+use super::absolute_pose::{RegistrationUnit, candidates, estimate_placement};
+use super::evidence::Evidence;
+use super::options::RegisterOptions;
 
 /// Scale of the Cauchy loss of the refinement, in pixels: 95 % efficiency for keypoints with a
 /// standard deviation of a pixel (Holland and Welsch 1977).
@@ -66,6 +68,7 @@ pub fn localize_image(
             model,
             &RegistrationUnit::Image(image),
             options,
+            Evidence::Usual,
             seed,
             &|_| true,
         );

@@ -2,11 +2,17 @@
 
 mod absolute_pose;
 mod continuity;
+mod evidence;
 mod localize;
 mod next_image;
+mod options;
+mod recall;
+mod significance;
 mod visibility;
 
 pub(crate) use absolute_pose::candidates;
-pub use absolute_pose::{RegisterOptions, register_image};
+pub use absolute_pose::register_image;
+pub(crate) use evidence::Evidence;
 pub use localize::{Localization, QueryCamera, localize_image};
 pub(crate) use next_image::NextBestView;
+pub use options::RegisterOptions;

@@ -13,8 +13,11 @@ use tiepoint_geometry::numeric::median;
 use tiepoint_geometry::{Rigid3, Rng};
 use tiepoint_scene::{CorrespondenceGraph, ImageId, Reconstruction};
 
-use super::absolute_pose::{Placement, RegisterOptions, RegistrationUnit, estimate_placement};
+use super::absolute_pose::{Placement, RegistrationUnit, estimate_placement};
 use super::continuity::Timelines;
+use super::evidence::Evidence;
+use super::options::RegisterOptions;
+use super::recall::Recall;
 use super::visibility::{Visibility, visibility};
 use crate::known_frames::KnownFrames;
 
@@ -38,8 +41,8 @@ pub(crate) struct NextBestView {
     trials: BTreeMap<ImageId, usize>,
     /// Registrations of each image. The limit prevents endless registration and filtering.
     registrations: BTreeMap<ImageId, usize>,
-    /// Visible-point recall of each image at its registration.
-    recalls: BTreeMap<ImageId, f64>,
+    /// Visible-point recall of each image at its registration; `None` if too few points tell it.
+    recalls: BTreeMap<ImageId, Option<f64>>,
     /// Deferred images.
     deferred: BTreeMap<ImageId, DeferredImage>,
 }
@@ -72,19 +75,34 @@ impl NextBestView {
         self.trials.clear();
     }
 
+    /// Measures the recalls of registered images, of which none was registered here.
+    pub(crate) fn learn_recalls(
+        &mut self,
+        graph: &CorrespondenceGraph,
+        model: &Reconstruction,
+        options: &RegisterOptions,
+    ) {
+        for (image, ..) in model.registered() {
+            let recall = Recall::of_registered(graph, model, image).share(options);
+            self.recalls.insert(self.frames.first_of(model, image), recall);
+        }
+    }
+
     /// The frames that are registered as a whole.
     pub(crate) fn frames(&self) -> &KnownFrames {
         &self.frames
     }
 
     /// Registers the next of `images`, with its frame; `None` if none can be registered. A frame is
-    /// among them by its first image, which is returned.
+    /// among them by its first image, which is returned. With [`Evidence::Significant`], images
+    /// that would be deferred are not registered.
     pub(crate) fn register_next(
         &mut self,
         graph: &CorrespondenceGraph,
         model: &mut Reconstruction,
         images: Vec<ImageId>,
         options: &RegisterOptions,
+        evidence: Evidence,
     ) -> Option<ImageId> {
         let may_try = |image: &ImageId| {
             let attempts = [&self.trials, &self.registrations].map(|times| times.get(image));
@@ -94,11 +112,11 @@ impl NextBestView {
             .into_par_iter()
             .filter(may_try)
             .map(|image| (self.visibility(graph, model, image), image))
-            .filter(|(seen, _)| seen.num_points >= options.min_num_inliers)
+            .filter(|(seen, _)| seen.num_points >= evidence.min_num_inliers(options))
             .collect();
         candidates.sort_by_key(|(seen, image)| (std::cmp::Reverse(seen.score), *image));
         loop {
-            let placement = match self.choose(graph, model, &candidates, options) {
+            let placement = match self.choose(graph, model, &candidates, options, evidence) {
                 Ok(placement) => placement,
                 Err(failed) => {
                     candidates.retain(|(_, image)| !failed.contains(image));
@@ -138,6 +156,7 @@ impl NextBestView {
         model: &Reconstruction,
         candidates: &[(Visibility, ImageId)],
         options: &RegisterOptions,
+        evidence: Evidence,
     ) -> Result<Placement, BTreeSet<ImageId>> {
         let unregistered: BTreeSet<ImageId> = candidates.iter().map(|(_, image)| *image).collect();
         let mut failed = BTreeSet::new();
@@ -153,17 +172,18 @@ impl NextBestView {
             let recall = match self.deferred.get(&image).filter(is_known) {
                 Some(known) => known.recall,
                 None => {
-                    let Some(placement) = self.estimate_pose(graph, model, image, options) else {
+                    let Some(placement) =
+                        self.estimate_pose(graph, model, image, options, evidence)
+                    else {
                         failed.insert(image);
                         continue;
                     };
-                    let expected = self.neighbours_recall(graph, model, image);
-                    if placement.is_plausible && placement.recall >= MIN_RELATIVE_RECALL * expected
-                    {
+                    let expected = self.neighbours_recall(graph, model, image, evidence);
+                    let recall = placement.recall.unwrap_or(1.0);
+                    if placement.is_plausible && recall >= MIN_RELATIVE_RECALL * expected {
                         return Ok(placement);
                     }
-                    let recall =
-                        if placement.is_plausible { placement.recall / expected } else { 0.0 };
+                    let recall = if placement.is_plausible { recall / expected } else { 0.0 };
                     self.deferred.insert(image, DeferredImage { num_points, recall });
                     recall
                 }
@@ -172,12 +192,12 @@ impl NextBestView {
         }
         // Other candidates may have waited only for the failed ones. They come before deferred
         // images.
-        if !failed.is_empty() {
+        if !failed.is_empty() || evidence == Evidence::Significant {
             return Err(failed);
         }
         deferred_candidates.sort_by(|(a, one), (b, other)| b.total_cmp(a).then(one.cmp(other)));
         for (_, image) in deferred_candidates {
-            match self.estimate_pose(graph, model, image, options) {
+            match self.estimate_pose(graph, model, image, options, evidence) {
                 Some(placement) => return Ok(placement),
                 None => failed.insert(image),
             };
@@ -192,6 +212,7 @@ impl NextBestView {
         model: &Reconstruction,
         image: ImageId,
         options: &RegisterOptions,
+        evidence: Evidence,
     ) -> Option<Placement> {
         let key = [u64::from(image.0), model.num_registered() as u64];
         let seed = Rng::stream(self.seed, &key).next_u64();
@@ -203,25 +224,33 @@ impl NextBestView {
             .frames
             .frame_of(model, image)
             .map_or(RegistrationUnit::Image(image), RegistrationUnit::Frame);
-        let placement = estimate_placement(graph, model, &view, options, seed, &is_plausible);
+        let placement =
+            estimate_placement(graph, model, &view, options, evidence, seed, &is_plausible);
         if placement.is_none() {
             *self.trials.entry(image).or_insert(0) += 1;
         }
         placement
     }
 
-    /// Median visible-point recall of the registered neighbours of an image; zero without any.
+    /// Median visible-point recall of the registered neighbours of an image; zero without any. In
+    /// doubt an image waits: an unknown recall of a neighbour counts as a full one, unless images
+    /// that wait are not registered at all.
     fn neighbours_recall(
         &self,
         graph: &CorrespondenceGraph,
         model: &Reconstruction,
         image: ImageId,
+        evidence: Evidence,
     ) -> f64 {
         let images = self.frames.registered_with(model, image);
         let neighbours = images.iter().flat_map(|image| graph.neighbours(*image));
         let neighbours = neighbours.filter(|other| model.image(**other).cam_from_world().is_some());
-        let of_frame = |other: &ImageId| self.recalls.get(&self.frames.first_of(model, *other));
-        let mut recalls: Vec<f64> = neighbours.filter_map(of_frame).copied().collect();
+        let unknown = (evidence == Evidence::Usual).then_some(1.0);
+        let of_frame = |other: &ImageId| {
+            let recall = self.recalls.get(&self.frames.first_of(model, *other))?;
+            recall.or(unknown)
+        };
+        let mut recalls: Vec<f64> = neighbours.filter_map(of_frame).collect();
         median(&mut recalls).unwrap_or(0.0)
     }
 }

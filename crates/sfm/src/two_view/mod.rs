@@ -1,10 +1,12 @@
 //! Two-view geometry: verification of pairs, matches on overlays, focal lengths, and initial pairs.
 
+mod agreement;
 mod focal;
 mod initial_pair;
 mod stationary;
 mod verify;
 
+pub(crate) use agreement::{Agreement, agreement};
 pub(crate) use focal::with_focal;
 pub use focal::{estimate_focal_lengths, focal_priors};
 pub use initial_pair::{InitialPair, initial_pairs};

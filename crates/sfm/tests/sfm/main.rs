@@ -10,6 +10,7 @@ mod lens;
 mod loop_closure;
 mod mapper;
 mod merge_by_motion;
+mod one_model;
 mod options;
 mod overlays;
 mod point_selection;

@@ -1,0 +1,220 @@
+//! Joins models with verified pairs between them: parts of one place that no growth connected.
+//!
+//! The smaller model takes the intrinsics of the larger one. Then one of the two grows on by images
+//! of the other one, at most as many as COLMAP's `max_model_overlap`. The common images give the
+//! similarity: the points that they observe in both models, or their poses. Both models are
+//! adjusted together, and stay joined if the evidence holds: of the verified matches between the
+//! two, most agree with the poses, images of both observe common points, and most images of each
+//! stay. Otherwise the models are as they were. A wrong join is worse than none: images that see
+//! less of the other model than they should ([`crate::register`]) do not connect.
+
+use std::collections::BTreeSet;
+use std::ops::ControlFlow;
+
+use tiepoint_adjust::{RefineIntrinsics, Term};
+use tiepoint_geometry::Rigid3;
+use tiepoint_scene::{CameraId, Image, ImageId, ImagePair, PointId, Reconstruction, Track};
+
+use super::existing::similarity_of_poses;
+use super::growth::Growth;
+use super::input::Input;
+use super::refinement_schedule::RefinementSchedule;
+use super::refiner::Refiner;
+use crate::Error;
+use crate::event::{Event, Watch, notify};
+use crate::mapped_model::MappedModel;
+use crate::model_tools::{ModelAlignment, align_models, merge_aligned};
+use crate::options::MapperOptions;
+use crate::rigs::Descriptors;
+use crate::terms::reborrow;
+use crate::two_view::{Agreement, VerifyOptions, agreement};
+
+/// Maximum number of images that a model takes from the other one: COLMAP's default.
+const MAX_OVERLAP: usize = 20;
+/// Minimum number of points that images of both models observe: as many as the inliers of a
+/// verified pair.
+const MIN_COMMON_POINTS: usize = 15;
+
+/// Joins models as far as the evidence goes. `models` come and stay in descending order of size.
+pub(super) fn join_models(
+    input: Input,
+    models: &mut Vec<MappedModel>,
+    terms: &mut [&mut dyn Term],
+    descriptors: &mut Descriptors,
+    watch: &mut Watch,
+) -> Result<(), Error> {
+    let mut larger = 0;
+    while larger + 1 < models.len() {
+        let found = (larger + 1..models.len()).find_map(|smaller| {
+            let [one, other] = [larger, smaller].map(|k| &models[k].reconstruction);
+            Some((smaller, joined(input, one, other)?))
+        });
+        let Some((smaller, model)) = found else {
+            larger += 1;
+            continue;
+        };
+        let others = models.iter().enumerate().filter(|(k, _)| ![larger, smaller].contains(k));
+        let taken = others.flat_map(|(_, model)| registered(&model.reconstruction)).collect();
+        let mut refiner = Refiner::new(input, model, reborrow(terms));
+        refiner.solution.initial_pair = models[larger].initial_pair;
+        match finish(Growth::new(refiner, taken), descriptors, watch) {
+            Ok(model) => models[larger] = model,
+            Err(Error::Cancelled) => return Err(Error::Cancelled),
+            // The models stay separate.
+            Err(_) => {
+                larger += 1;
+                continue;
+            }
+        }
+        models.remove(smaller);
+        let num_images = models[larger].reconstruction.num_registered();
+        notify(watch, &Event::Merged { num_images })?;
+        sort_by_size(models);
+        larger = 0;
+    }
+    Ok(())
+}
+
+/// Registers images that neither model could register, and runs the stages.
+fn finish(
+    mut growth: Growth,
+    descriptors: &mut Descriptors,
+    watch: &mut Watch,
+) -> Result<MappedModel, Error> {
+    growth.grow(watch)?;
+    growth.refiner.run_stages(descriptors, watch)
+}
+
+/// The largest model first: by images, then by points.
+pub(super) fn sort_by_size(models: &mut [MappedModel]) {
+    models.sort_by_key(|model| {
+        let model = &model.reconstruction;
+        std::cmp::Reverse((model.num_registered(), model.num_tracks()))
+    });
+}
+
+pub(super) fn registered(model: &Reconstruction) -> BTreeSet<ImageId> {
+    model.registered().map(|(id, ..)| id).collect()
+}
+
+/// Both models in one, adjusted together; `None` without evidence.
+fn joined(input: Input, one: &Reconstruction, other: &Reconstruction) -> Option<Reconstruction> {
+    let (of_one, of_other) = (registered(one), registered(other));
+    let is_between = |pair: &&ImagePair| {
+        let between = |a, b| of_one.contains(a) && of_other.contains(b);
+        between(&pair.a, &pair.b) || between(&pair.b, &pair.a)
+    };
+    let between: Vec<ImagePair> = input.graph.pairs().keys().filter(is_between).copied().collect();
+    if between.is_empty() {
+        return None;
+    }
+    let options = MapperOptions { refine: RefineIntrinsics::NONE, ..*input.options };
+    let trial = Input::of_trial(input.graph, input.scene, &options);
+    let one = detected(input, one.clone());
+    let other = with_cameras_of(trial, &one, detected(input, other.clone()))?;
+    let merged = merged(trial, &one, &other).or_else(|| merged(trial, &other, &one))?;
+    if !agrees(input, &merged, &between, options.register.max_error_px) {
+        return None;
+    }
+    let trial = Input { focal_priors: input.focal_priors, options: input.options, ..trial };
+    let model = refined(trial, merged)?;
+    let of_joined = registered(&model);
+    let most_stay =
+        |images: &BTreeSet<ImageId>| 2 * images.intersection(&of_joined).count() > images.len();
+    let is_common = |(_, track): &(PointId, &Track)| {
+        [&of_one, &of_other].iter().all(|images| {
+            track.observations.iter().any(|observation| images.contains(&observation.image))
+        })
+    };
+    let holds = most_stay(&of_one)
+        && most_stay(&of_other)
+        && model.tracks().filter(is_common).count() >= MIN_COMMON_POINTS
+        && agrees(input, &model, &between, VerifyOptions::default().max_error_px);
+    holds.then_some(model)
+}
+
+fn refined(trial: Input, model: Reconstruction) -> Option<Reconstruction> {
+    let mut refiner = Refiner::new(trial, model, Vec::new());
+    refiner.refine_globally(&RefinementSchedule::AFTER_LOOP_CLOSURE, &mut unwatched).ok()?;
+    Some(refiner.solution.model)
+}
+
+/// The smaller model with the cameras that it has in common with the larger one as these are there.
+fn with_cameras_of(
+    trial: Input,
+    one: &Reconstruction,
+    mut model: Reconstruction,
+) -> Option<Reconstruction> {
+    for camera in cameras(&model).intersection(&cameras(one)) {
+        *model.camera_mut(*camera) = *one.camera(*camera);
+    }
+    refined(trial, model)
+}
+
+/// A model with another one, which takes images of the first one for it; `None` if these do not
+/// give a similarity.
+fn merged(trial: Input, model: &Reconstruction, other: &Reconstruction) -> Option<Reconstruction> {
+    let free = registered(model);
+    let not_free = trial.scene.images().map(|(id, _)| id).filter(|id| !free.contains(id)).collect();
+    let max_images = other.num_registered() + MAX_OVERLAP;
+    let refiner = Refiner::new(trial, other.clone(), Vec::new());
+    let mut growth = Growth::overlap(refiner, not_free, max_images);
+    growth.grow(&mut unwatched).ok()?;
+    let extended = growth.refiner.solution.model;
+    let mut merged = model.clone();
+    for camera in cameras(&extended).difference(&cameras(model)) {
+        *merged.camera_mut(*camera) = *extended.camera(*camera);
+    }
+    let max_error_px = trial.options.filter.max_error_px;
+    let alignment = aligned(&extended, model, max_error_px)?;
+    merge_aligned(&mut merged, &extended, alignment, max_error_px);
+    Some(merged)
+}
+
+/// The similarity between models with common images: by the points that these observe in both, or,
+/// if they observe hardly any, by their poses. `None` if the points contradict.
+fn aligned(
+    extended: &Reconstruction,
+    model: &Reconstruction,
+    max_error_px: f64,
+) -> Option<ModelAlignment> {
+    let mut alignment = align_models(extended, model, max_error_px).ok()?;
+    if alignment.num_common_observations < MIN_COMMON_POINTS {
+        let pose = |id: ImageId| model.image(id).cam_from_world();
+        let both = |(id, _, before): (ImageId, &Image, &Rigid3)| Some((*before, *pose(id)?));
+        let common: Vec<(Rigid3, Rigid3)> = extended.registered().filter_map(both).collect();
+        alignment.reference_from_model = similarity_of_poses(&common);
+    }
+    alignment.reference_from_model.map(|_| alignment)
+}
+
+/// The model with keypoints as detected, without rigs: later stages correct and constrain again.
+fn detected(input: Input, mut model: Reconstruction) -> Reconstruction {
+    (model.rigs, model.frames) = (Vec::new(), Vec::new());
+    if input.options.readout.is_some() {
+        for (id, image) in input.scene.images() {
+            let pixels: Vec<_> = image.keypoints.iter().map(|keypoint| keypoint.pixel).collect();
+            model.move_keypoints(id, &pixels);
+        }
+    }
+    model
+}
+
+fn cameras(model: &Reconstruction) -> BTreeSet<CameraId> {
+    model.registered().map(|(_, image, _)| image.camera).collect()
+}
+
+/// Whether most of the verified matches of these pairs agree with the poses.
+fn agrees(input: Input, model: &Reconstruction, pairs: &[ImagePair], max_error_px: f64) -> bool {
+    let mut sum = Agreement::default();
+    for &pair in pairs {
+        let pose = |image| model.image(image).cam_from_world();
+        let (Some(a), Some(b)) = (pose(pair.a), pose(pair.b)) else { continue };
+        sum.add(agreement(input.graph, model, pair, [a, b], max_error_px));
+    }
+    sum.is_majority()
+}
+
+fn unwatched(_: &Event) -> ControlFlow<()> {
+    ControlFlow::Continue(())
+}
