@@ -14,7 +14,8 @@ Sets, each of a source:
 Modes, each with --rig off and auto (photos: off):
   frozen            --intrinsics K --refine none
   default           --intrinsics K
-  half, double      the same with half and twice the standard deviation of K
+  prior             the same with a standard deviation of K of 1 px at the border, stated
+  half, double      the same with half and twice the standard deviation
   free              --intrinsics K,0,0,0,0 --calibration-sigma 30
   uncalibrated      no intrinsics
   wrong-1%, wrong-0.3%, wrong+0.3%, wrong+1%   default, with focal lengths that are off
@@ -51,6 +52,7 @@ from rig import rotation, true_cameras
 MODES = {
     "frozen": ("pinhole", ["--refine", "none"]),
     "default": ("pinhole", []),
+    "prior": ("pinhole", ["--calibration-sigma", "1"]),
     "half": ("pinhole", ["--calibration-sigma", "0.5"]),
     "double": ("pinhole", ["--calibration-sigma", "2"]),
     "free": ("opencv", ["--calibration-sigma", "30"]),

@@ -18,7 +18,7 @@ mod term;
 mod triangulation;
 mod variables;
 
-pub use calibration_evidence::calibration_evidence;
+pub use calibration_evidence::{CalibrationEvidence, calibration_evidence};
 pub use covariance::covariance_of_fit;
 pub use error::Error;
 pub use gauge::{Gauge, fix_gauge};

@@ -26,8 +26,8 @@ impl RandomEffects {
     /// undetermined.
     ///
     /// The variance of the random effects is their mean square after a fit of the fixed effects,
-    /// less the noise, over the `modes` best determined modes. Modes that are hardly determined
-    /// show other errors. A mode is an eigenvector of the information.
+    /// less the noise but not below zero, over the `modes` best determined modes. Modes that are
+    /// hardly determined show other errors. A mode is an eigenvector of the information.
     pub fn log_bayes_factor(&self, modes: usize) -> Option<f64> {
         let FitWithout { fixed, noise, shifts, information, slopes } = self.fit_without()?;
         let variance = variance_of(information, &slopes, modes);

@@ -197,7 +197,11 @@ fn calibrations(report: &Report) -> Vec<String> {
         let id = camera.id;
         if calibration.is_exact {
             return Some(format!(
-                "camera {id}: the images do not contradict its calibration, kept"
+                "camera {id}: {} its calibration, kept",
+                match calibration.log_bayes_factor {
+                    Some(_) => "the images do not contradict",
+                    None => "the images are too few to judge",
+                }
             ));
         }
         let names = CameraModelKind::from_name(&camera.model).ok()?.param_names();

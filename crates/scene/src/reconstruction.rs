@@ -153,6 +153,15 @@ impl Reconstruction {
         self.leave_frame(image);
     }
 
+    /// Copies a camera, and whether it is calibrated, from a model of the same cameras.
+    pub fn copy_camera(&mut self, other: &Self, camera: CameraId) {
+        *self.camera_mut(camera) = *other.camera(camera);
+        match other.calibrated.contains(&camera) {
+            true => self.calibrated.insert(camera),
+            false => self.calibrated.remove(&camera),
+        };
+    }
+
     /// Adds a track. Its observations must be in registered images, of keypoints without a point,
     /// each once.
     pub fn add_track(&mut self, track: Track) -> PointId {

@@ -19,10 +19,10 @@ pub struct MappedModel {
     /// Result of the rig calibration; `None` without a rig term that calibrates, without images to
     /// constrain, or if the stage failed.
     pub rig: Option<CalibratedRig>,
-    /// Logarithm of the Bayes factor against exact calibrations
-    /// ([`tiepoint_adjust::calibration_evidence`]). Where it is at most 5, calibrations are exact.
-    /// `None` if there are no calibrations to refine, or the images are too few to tell.
-    pub calibration_evidence: Option<f64>,
+    /// Logarithm of the Bayes factor against the exact calibration of each camera that was judged,
+    /// of all cameras of the model together ([`tiepoint_adjust::calibration_evidence`]). Where it
+    /// is at most 5, they are exact.
+    pub calibration_evidence: BTreeMap<CameraId, f64>,
     /// Standard deviations of the parameters of each registered camera, in their order and units; 0
     /// for constant ones. They hold where errors are correlated along tracks and in a part of the
     /// image. Empty if none was refined or the images do not determine them.

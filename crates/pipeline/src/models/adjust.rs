@@ -57,9 +57,9 @@ pub struct AdjustStep {
 const MAX_ITERATIONS: usize = 100;
 
 /// Adjusts a model (a folder with a COLMAP model, a workspace, or a BAL file) and writes the result
-/// to `output` in the format of the input. Calibrated intrinsics have a prior at the calibration.
-/// With `fix_intrinsics` all are constant. Images of a rig frame keep their sensor_from_rig in
-/// common.
+/// to `output` in the format of the input. Calibrated intrinsics have a prior at the calibration,
+/// or are constant where mapping kept them. With `fix_intrinsics` all are constant. Images of a rig
+/// frame keep their sensor_from_rig in common.
 ///
 /// # Errors
 ///

@@ -135,7 +135,7 @@ impl<'a> MapRequest<'a> {
             mapper.refine = refine;
         }
         mapper.validate()?;
-        mapper.keep_calibrations = given.calibration_sigma_px.is_none();
+        mapper.keep_calibrations &= given.calibration_sigma_px.is_none();
         if let Some(sigma_px) = given.calibration_sigma_px {
             OptionError::check_positive("calibration_sigma_px", sigma_px)?;
         }
@@ -673,7 +673,7 @@ mod tests {
                 error_px: 1.0,
             }),
             reconstruction: model,
-            calibration_evidence: None,
+            calibration_evidence: BTreeMap::new(),
             intrinsics_sds: BTreeMap::new(),
             shutters: Vec::new(),
             row_poses: BTreeMap::new(),

@@ -214,7 +214,7 @@ mod tests {
             initial_pair: ImagePair::new(ImageId(0), ImageId(1)),
             is_in_frame_of_terms: false,
             rig: Some(rig),
-            calibration_evidence: None,
+            calibration_evidence: BTreeMap::new(),
             intrinsics_sds: BTreeMap::new(),
             shutters: Vec::new(),
             row_poses: BTreeMap::new(),

@@ -215,11 +215,11 @@ pub struct CalibrationReport {
     pub sigmas: Vec<Option<f64>>,
     /// By how many standard deviations the refined parameters differ.
     pub deviations: Vec<f64>,
-    /// Whether the calibration was taken as exact, because the images do not contradict it.
+    /// Whether the calibration was kept, because the images do not contradict it.
     #[serde(default)]
     pub is_exact: bool,
     /// Logarithm of the Bayes factor against exact calibrations of the model's cameras. `None` if
-    /// the images are too few to tell.
+    /// the images are too few to tell, or the deviations were stated.
     #[serde(default)]
     pub log_bayes_factor: Option<f64>,
 }
@@ -234,7 +234,7 @@ impl CalibrationReport {
             sigmas: finite(&prior.sigmas),
             deviations: prior.deviations(refined),
             is_exact: model.calibrated.contains(&id),
-            log_bayes_factor: mapped.calibration_evidence,
+            log_bayes_factor: mapped.calibration_evidence.get(&id).copied(),
         })
     }
 }

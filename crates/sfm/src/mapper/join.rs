@@ -146,7 +146,7 @@ fn with_cameras_of(
     mut model: Reconstruction,
 ) -> Option<Reconstruction> {
     for camera in cameras(&model).intersection(&cameras(one)) {
-        *model.camera_mut(*camera) = *one.camera(*camera);
+        model.copy_camera(one, *camera);
     }
     refined(trial, model)
 }
@@ -163,7 +163,7 @@ fn merged(trial: Input, model: &Reconstruction, other: &Reconstruction) -> Optio
     let extended = growth.refiner.solution.model;
     let mut merged = model.clone();
     for camera in cameras(&extended).difference(&cameras(model)) {
-        *merged.camera_mut(*camera) = *extended.camera(*camera);
+        merged.copy_camera(&extended, *camera);
     }
     let max_error_px = trial.options.filter.max_error_px;
     let alignment = aligned(&extended, model, max_error_px)?;

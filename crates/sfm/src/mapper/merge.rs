@@ -39,6 +39,8 @@ pub(super) fn merge_rig_models(
         merged.rig = Some(rig);
         // The models have no camera in common.
         merged.shutters.extend(other.shutters);
+        merged.calibration_evidence.extend(other.calibration_evidence);
+        merged.intrinsics_sds.extend(other.intrinsics_sds);
         merged.row_poses = row_poses(&merged.reconstruction, &merged.shutters);
         merged.num_loop_pairs += other.num_loop_pairs;
         merged.failures.extend(other.failures);

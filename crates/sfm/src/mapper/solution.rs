@@ -1,4 +1,6 @@
-use tiepoint_scene::{ImagePair, Reconstruction};
+use std::collections::BTreeMap;
+
+use tiepoint_scene::{CameraId, ImagePair, Reconstruction};
 
 use crate::rigs::CalibratedRig;
 use crate::rolling_shutter::RollingShutters;
@@ -16,8 +18,8 @@ pub(super) struct Solution {
     pub(super) shutters: Option<RollingShutters>,
     pub(super) num_loop_pairs: usize,
     pub(super) rig: Option<CalibratedRig>,
-    /// Logarithm of the Bayes factor against exact calibrations, if they were judged.
-    pub(super) calibration_evidence: Option<f64>,
+    /// Logarithm of the Bayes factor against the exact calibration of each camera that was judged.
+    pub(super) calibration_evidence: BTreeMap<CameraId, f64>,
 }
 
 /// Phase of the construction.
@@ -43,7 +45,7 @@ impl Solution {
             shutters: None,
             num_loop_pairs: 0,
             rig: None,
-            calibration_evidence: None,
+            calibration_evidence: BTreeMap::new(),
         }
     }
 }

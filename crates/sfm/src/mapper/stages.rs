@@ -58,7 +58,7 @@ const STAGES: [Stage; 8] = [
 impl Stage {
     /// Whether the stage sets poses other than by an adjustment of single images.
     fn moves_poses(self) -> bool {
-        !matches!(self, Self::Refine(_))
+        !matches!(self, Self::Refine(_) | Self::Calibrations)
     }
 
     /// The optional stage, which is undone if it fails; `None` for a stage that must succeed.
@@ -79,6 +79,7 @@ impl Refiner<'_> {
         descriptors: &mut Descriptors,
         watch: &mut Watch,
     ) -> Result<MappedModel, Error> {
+        self.forget_verdicts();
         let readout = self.input.options.readout;
         self.solution.shutters =
             readout.map(|readout| RollingShutters::new(&self.solution.model, readout));

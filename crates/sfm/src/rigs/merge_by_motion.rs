@@ -54,7 +54,7 @@ pub(crate) fn merge_by_motion(
     let mut moved = second.clone();
     moved.transform(&first_from_second);
     for camera in cameras(second) {
-        *merged.camera_mut(camera) = *moved.camera(camera);
+        merged.copy_camera(&moved, camera);
     }
     let posed: Vec<(ImageId, Rigid3)> =
         moved.registered().map(|(id, _, pose)| (id, *pose)).collect();

@@ -3,9 +3,12 @@
 use tiepoint_geometry::nalgebra::{UnitQuaternion, Vector2};
 use tiepoint_geometry::solvers::umeyama;
 use tiepoint_geometry::{CameraModelKind, Intrinsics};
-use tiepoint_scene::{Camera, CameraId, IntrinsicsPrior};
-use tiepoint_sfm::adjust::RefineIntrinsics;
-use tiepoint_sfm::{Mapper, MapperOptions};
+use tiepoint_scene::{
+    Camera, CameraId, CorrespondenceGraph, Image, ImageId, IntrinsicsPrior, Observation,
+    Reconstruction,
+};
+use tiepoint_sfm::adjust::{AdjustOptions, RefineIntrinsics, calibration_evidence};
+use tiepoint_sfm::{Mapper, MapperOptions, RigMode};
 use tiepoint_synth::{
     Drive, DriveCamera, DriveOptions, Effects, FeatureOptions, FeatureScene, LensField,
     MatchOptions,
@@ -88,49 +91,108 @@ const MAX_LEFT: f64 = 0.5 * CALIBRATION_ERROR;
 /// What KITTI's rectified images have.
 const LENS_FIELD_PX: f64 = 0.15;
 
-#[test]
-fn a_drive_corrects_a_calibration_and_keeps_an_exact_one() {
+/// A street of 40 moments and its matches.
+fn street() -> (FeatureScene, CorrespondenceGraph) {
     let options = DriveOptions { seed: 1, rate_hz: 5.0, ..DriveOptions::default() };
     let mut drive = Drive::new(&options).expect("a street of 200 m");
     drive.keep_first(FRAMES);
     let features = FeatureOptions { seed: 1, observations: 40_000, ..FeatureOptions::default() };
     let scene = FeatureScene::new(&drive, &features).expect("sound options");
     let graph = scene.graph(&MatchOptions { window: Some(6), ..MatchOptions::default() });
+    (scene, graph)
+}
+
+/// The street without poses, with a lens field, and calibrations whose focal lengths are off by
+/// `errors`.
+fn calibrated(scene: &FeatureScene, field_px: f64, errors: [f64; 2]) -> Reconstruction {
+    let mut blank = scene.without_poses();
+    LensField::displace_keypoints(&mut blank, field_px, 1);
+    for (id, error) in [CameraId(0), CameraId(1)].into_iter().zip(errors) {
+        let camera = blank.camera_mut(id);
+        let focal_px = (1.0 + error) * camera.intrinsics.mean_focal_px();
+        let (width, height) = (camera.width, camera.height);
+        camera.intrinsics = Intrinsics::centred(CameraModelKind::Opencv, focal_px, width, height);
+        camera.has_focal_prior = true;
+        let prior = IntrinsicsPrior::new(camera.intrinsics, width, height, 1.0);
+        blank.intrinsics_priors.insert(id, prior);
+    }
+    blank
+}
+
+#[test]
+fn a_drive_corrects_a_calibration_and_keeps_an_exact_one() {
+    let (scene, graph) = street();
     for (field_px, error, refine) in [
         (0.0, CALIBRATION_ERROR, RefineIntrinsics::ALL),
         (0.0, 0.0, RefineIntrinsics::ALL),
         (LENS_FIELD_PX, 0.0, RefineIntrinsics::ALL),
         (0.0, CALIBRATION_ERROR, RefineIntrinsics::NONE),
     ] {
-        let mut blank = scene.without_poses();
-        LensField::displace_keypoints(&mut blank, field_px, 1);
-        let ids: Vec<CameraId> = blank.cameras().map(|(id, _)| id).collect();
-        let mut true_focal_px = 0.0;
-        for &id in &ids {
-            let camera = blank.camera_mut(id);
-            true_focal_px = camera.intrinsics.mean_focal_px();
-            let focal_px = (1.0 + error) * true_focal_px;
-            let (width, height) = (camera.width, camera.height);
-            camera.intrinsics =
-                Intrinsics::centred(CameraModelKind::Opencv, focal_px, width, height);
-            camera.has_focal_prior = true;
-            let prior = IntrinsicsPrior::new(camera.intrinsics, width, height, 1.0);
-            blank.intrinsics_priors.insert(id, prior);
-        }
+        let blank = calibrated(&scene, field_px, [error; 2]);
         let mapper = MapperOptions { refine, ..MapperOptions::default() };
         let models = Mapper::new(&graph, &blank).run(&mapper);
         let mapped = models.expect("the scene is easy").remove(0);
         let model = &mapped.reconstruction;
         assert_eq!(model.num_registered(), 2 * FRAMES);
-        let evidence = mapped.calibration_evidence;
-        assert_eq!(evidence.is_some(), refine == RefineIntrinsics::ALL);
-        for id in ids {
-            let found = model.camera(id).intrinsics;
-            let left = found.mean_focal_px() / true_focal_px - 1.0;
+        let evidence = &mapped.calibration_evidence;
+        assert_eq!(evidence.is_empty(), refine == RefineIntrinsics::NONE);
+        for (id, camera) in model.cameras() {
+            let true_focal_px = scene.truth().camera(id).intrinsics.mean_focal_px();
+            let left = camera.intrinsics.mean_focal_px() / true_focal_px - 1.0;
             let told = format!("field {field_px} px, error {error}: {evidence:?}, left {left}");
             let is_refined = refine == RefineIntrinsics::ALL && error > 0.0;
-            assert_eq!(found != blank.camera(id).intrinsics, is_refined, "{told}");
+            assert_eq!(camera.intrinsics != blank.camera(id).intrinsics, is_refined, "{told}");
             assert!(left.abs() < if is_refined { MAX_LEFT } else { 1.1 * CALIBRATION_ERROR });
         }
     }
+}
+
+#[test]
+fn cameras_that_are_merged_by_motion_keep_their_verdicts() {
+    let (scene, graph) = street();
+    let blank = calibrated(&scene, LENS_FIELD_PX, [0.0, 2.0 * CALIBRATION_ERROR]);
+    let counts: Vec<usize> = blank.images().map(|(_, image)| image.keypoints.len()).collect();
+    let camera = |image: ImageId| blank.image(image).camera;
+    let own = graph.pairs().iter().filter(|(pair, _)| camera(pair.a) == camera(pair.b));
+    let graph = CorrespondenceGraph::new(&counts, own.map(|(pair, view)| (*pair, view.clone())));
+    let mapper = MapperOptions { rig: RigMode::Auto, ..MapperOptions::default() };
+    let models = Mapper::new(&graph, &blank).run(&mapper).expect("the scene is easy");
+    assert_eq!(models.len(), 1, "the cameras move as one rig");
+    let model = &models[0].reconstruction;
+    let is_kept = |id: CameraId| model.camera(id).intrinsics == blank.camera(id).intrinsics;
+    assert_eq!([0, 1].map(CameraId).map(is_kept), [true, false]);
+    assert_eq!(model.calibrated, [CameraId(0)].into());
+    assert_eq!(models[0].calibration_evidence.len(), 2);
+}
+
+/// Points that an image may have without a place in the comparison.
+const FEW: usize = 2;
+
+#[test]
+fn an_image_with_hardly_any_points_leaves_the_evidence() {
+    let (scene, graph) = street();
+    let blank = calibrated(&scene, LENS_FIELD_PX, [0.0; 2]);
+    let mapper = MapperOptions { keep_calibrations: false, ..MapperOptions::default() };
+    let models = Mapper::new(&graph, &blank).run(&mapper);
+    let mut model = models.expect("the scene is easy").remove(0).reconstruction;
+    let options = AdjustOptions { refine: RefineIntrinsics::ALL, ..AdjustOptions::default() };
+    let options = options.with_noise_of(&model);
+    let before = calibration_evidence(&model, &options).expect("a model").log_bayes_factor;
+    let (id, image, pose) = model.registered().nth(FRAMES / 2).expect("an image");
+    let (camera, pose) = (image.camera, *pose);
+    let seen = model.tracks().filter(|(_, track)| track.observations.len() > 4);
+    let seen = seen.filter_map(|(point, track)| {
+        let observation = track.observations.iter().find(|it| it.image == id)?;
+        Some((point, model.image(id).keypoints[observation.keypoint as usize]))
+    });
+    let (points, keypoints): (Vec<_>, Vec<_>) = seen.take(FEW).unzip();
+    assert_eq!(points.len(), FEW);
+    let image = model.add_image(Image::new("weak", camera, keypoints));
+    model.register(image, pose);
+    for (keypoint, point) in (0..).zip(points) {
+        model.add_observation(point, Observation { image, keypoint });
+    }
+    let after = calibration_evidence(&model, &options).expect("a model").log_bayes_factor;
+    let [before, after] = [before, after].map(|factor| factor.expect("calibrated cameras"));
+    assert!((after - before).abs() < 0.1, "{before} {after}");
 }
