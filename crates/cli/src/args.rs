@@ -404,9 +404,10 @@ pub(crate) struct Mapping {
     /// Intrinsics to refine, as a list of focal, principal-point and distortion, or none. Also
     /// aspect (fx and fy are refined separately; else pixels stay square, which anamorphic video
     /// does not have) and prism (the thin prism of the model, which stays fixed else). By default
-    /// focal,principal-point,distortion. Known intrinsics have a prior at their values, and with
-    /// distortion in the list a PINHOLE camera becomes an OPENCV one. With extrinsics in the list,
-    /// those of --rig-calibration are refined.
+    /// focal,principal-point,distortion, and known intrinsics only if the images contradict them.
+    /// Known intrinsics have a prior at their values, and with distortion in the list a PINHOLE
+    /// camera becomes an OPENCV one. With extrinsics in the list, those of --rig-calibration are
+    /// refined.
     #[arg(long, value_name = "LIST", value_parser = refine)]
     pub(crate) refine: Option<Refine>,
     /// Standard deviation of known intrinsics, in pixels: how far the error of each parameter moves

@@ -52,12 +52,13 @@ use crate::{Error, Event, Stage, Watch, Workspace, emit};
 pub struct MapOptions {
     /// Options of the mapper.
     pub mapper: MapperOptions,
-    /// Intrinsics to refine; `None`: those of [`MapOptions::mapper`]. Calibrated ones have a prior
-    /// at the calibration.
+    /// Intrinsics to refine, calibrated ones with a prior at the calibration; `None`: those of
+    /// [`MapOptions::mapper`], calibrated ones only if the images contradict them.
     pub refine: Option<RefineIntrinsics>,
     /// Standard deviation of calibrated intrinsics: how far the error of each parameter moves
     /// pixels at the border of the image ([`sfm::scene::IntrinsicsPrior::new`]), in pixels. `None`:
-    /// calibrations are kept unless the images contradict them, and then it is 1 px.
+    /// it is 1 px, and calibrations are kept unless the images contradict them or
+    /// [`MapOptions::refine`] is given.
     pub calibration_sigma_px: Option<f64>,
     /// Known distance between the first two cameras, in metres: it determines the scale of the
     /// models.
@@ -135,7 +136,9 @@ impl<'a> MapRequest<'a> {
             mapper.refine = refine;
         }
         mapper.validate()?;
-        mapper.keep_calibrations &= given.calibration_sigma_px.is_none();
+        // Who states a deviation or what to refine means it.
+        let is_stated = given.calibration_sigma_px.is_some() || refine.is_some();
+        mapper.keep_calibrations &= !is_stated;
         if let Some(sigma_px) = given.calibration_sigma_px {
             OptionError::check_positive("calibration_sigma_px", sigma_px)?;
         }
@@ -146,7 +149,8 @@ impl<'a> MapRequest<'a> {
                 .into_iter()
                 .any(of_features);
         let is_refined = has_known && mapper.refine != RefineIntrinsics::NONE;
-        let sigma_px = given.calibration_sigma_px.filter(|_| is_refined);
+        let sigma_px = given.calibration_sigma_px.unwrap_or(CALIBRATION_SIGMA_PX);
+        let sigma_px = (is_refined && !mapper.keep_calibrations).then_some(sigma_px);
         texts.push(option_keys::calibration_sigma_option(sigma_px));
         let is_imported = of_features(option_names::DATABASE);
         if let Some(model) = &input_model {
