@@ -29,6 +29,9 @@ fn denominator(params: &Params, point_in_cam: &Vector3<f64>) -> Option<(f64, f64
     (denominator > MIN_DEPTH && is_before_fold).then_some((distance, denominator))
 }
 
+/// Difference of a denominator from 1 by rounding; another branch differs by more.
+const BRANCH_TOLERANCE: f64 = 1e-9;
+
 impl CameraModel for Eucm {
     type Params = Params;
     const NAME: &'static str = "EUCM";
@@ -87,7 +90,9 @@ impl CameraModel for Eucm {
             return None;
         }
         let ray = uv.push((1.0 - alpha * alpha * stretched) / denominator);
-        // For parameters outside of their range, the ray may be on another branch.
-        Self::project(params, &ray).map(|_| ray.normalize())
+        // Of a ray whose x and y are those of `uv` the denominator is 1. For parameters outside of
+        // their range, the ray may be on another branch.
+        let (_, of_ray) = self::denominator(params, &ray)?;
+        ((of_ray - 1.0).abs() < BRANCH_TOLERANCE).then(|| ray.normalize())
     }
 }

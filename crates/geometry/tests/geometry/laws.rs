@@ -158,6 +158,14 @@ cameras_that_see_backwards! {
     eucm_backwards: Eucm 1.8;
 }
 
+/// With a negative beta, the equation of the ray has a solution that projects elsewhere.
+#[test]
+fn eucm_has_no_ray_on_another_branch() {
+    let params = [800.0, 800.0, 500.0, 500.0, 0.4315570951707751, -0.250204371915503];
+    let camera = Intrinsics::new(CameraModelKind::Eucm, &params).expect("six parameters");
+    assert_eq!(camera.unproject(&Vector2::new(-1889.066945562402, -1575.8207054615723)), None);
+}
+
 proptest! {
     /// Points behind the image plane. A coefficient of θ^(2n+1) is divided by 4ⁿ so that θ_d
     /// increases up to 2 rad.
