@@ -103,7 +103,7 @@ fn leave_out_weak_images(model: &mut Reconstruction) {
     weak.into_iter().for_each(|image| model.deregister(image));
 }
 
-/// Cameras whose calibrations are in doubt, in order of their ids.
+/// Cameras whose calibrations are tested, in order of their ids.
 fn calibrated_cameras(model: &Reconstruction, refine: RefineIntrinsics) -> Vec<CameraId> {
     let mut found: Vec<(usize, CameraId)> = model
         .intrinsics_priors
@@ -126,8 +126,8 @@ fn calibrated_cameras(model: &Reconstruction, refine: RefineIntrinsics) -> Vec<C
     cameras
 }
 
-/// The normal equations of intrinsics and of the fields' coefficients, for keypoints of a
-/// noise. `None` if the fields leave nothing to determine intrinsics from.
+/// The normal equations of the intrinsics and of the fields' coefficients, for residuals of unit
+/// variance. `None` if the covariance is singular to rounding.
 fn random_effects(
     model: &Reconstruction,
     cameras: &[CameraId],
@@ -180,8 +180,8 @@ struct Scene<'a> {
     points: Vec<(PointId, Key<Vector3<f64>>)>,
 }
 
-/// A camera whose calibration is in doubt.
-struct DoubtfulCamera {
+/// A camera whose calibration is tested.
+struct TestedCamera {
     intrinsics: AnyKey,
     field: AnyKey,
     num_params: usize,
@@ -228,7 +228,7 @@ impl<'a> Scene<'a> {
         params: SVector<f64, N>,
         refined: Option<RefineIntrinsics>,
         loss: Loss,
-    ) -> Result<Option<DoubtfulCamera>, Error> {
+    ) -> Result<Option<TestedCamera>, Error> {
         let key = self.problem.add_parameter(params, EliminationOrder::Last);
         let field = self.problem.add_parameter(LensField::zeros(), EliminationOrder::Last);
         let mut slopes = (SVector::<f64, N>::zeros(), LensField::zeros());
@@ -289,7 +289,7 @@ impl<'a> Scene<'a> {
             let slope = (slopes.0[index] + of_follower) * sigma;
             Parameter { index, sigma, moved: deviations[index], slope }
         };
-        Ok(Some(DoubtfulCamera {
+        Ok(Some(TestedCamera {
             intrinsics: key.into(),
             field: field.into(),
             num_params: N,

@@ -200,7 +200,7 @@ fn calibrations(report: &Report) -> Vec<String> {
                 "camera {id}: {} its calibration, kept",
                 match calibration.log_bayes_factor {
                     Some(_) => "the images do not contradict",
-                    None => "the images are too few to judge",
+                    None => "the images are too few to test",
                 }
             ));
         }

@@ -92,6 +92,11 @@ impl Reconstruction {
             .filter_map(|(id, image)| image.cam_from_world.as_ref().map(|pose| (id, image, pose)))
     }
 
+    /// The cameras of the registered images.
+    pub fn registered_cameras(&self) -> BTreeSet<CameraId> {
+        self.registered().map(|(_, image, _)| image.camera).collect()
+    }
+
     /// Number of registered images.
     pub fn num_registered(&self) -> usize {
         self.registered().count()

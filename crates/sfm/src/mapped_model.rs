@@ -19,7 +19,7 @@ pub struct MappedModel {
     /// Result of the rig calibration; `None` without a rig term that calibrates, without images to
     /// constrain, or if the stage failed.
     pub rig: Option<CalibratedRig>,
-    /// Logarithm of the Bayes factor against the exact calibration of each camera that was judged,
+    /// Logarithm of the Bayes factor against the exact calibration of each camera that was tested,
     /// of all cameras of the model together ([`tiepoint_adjust::calibration_evidence`]). Where it
     /// is at most 5, they are exact.
     pub calibration_evidence: BTreeMap<CameraId, f64>,

@@ -1,6 +1,6 @@
 //! Warnings on the matches and models of a run.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 
 use tiepoint_sfm::diagnostics::{self, ImageScale};
 use tiepoint_sfm::geometry::numeric::median;
@@ -83,8 +83,7 @@ impl Place<'_> {
     }
 
     fn focal_lengths(&self, initial: &Reconstruction) -> Vec<Warning> {
-        let used: BTreeSet<CameraId> =
-            self.model.registered().map(|(_, image, _)| image.camera).collect();
+        let used = self.model.registered_cameras();
         let warning = |id: CameraId| {
             let camera = self.model.camera(id);
             let kind = camera.intrinsics.kind();

@@ -279,7 +279,6 @@ impl ModelReport {
         // Images without keypoints could not be read.
         let images = || model.images().filter(|(_, image)| !image.keypoints.is_empty());
         let unregistered = images().filter(|(_, image)| image.cam_from_world().is_none());
-        let is_used = |id: &CameraId| model.registered().any(|(_, image, _)| image.camera == *id);
         Self {
             path,
             registered: model.num_registered(),
@@ -290,9 +289,9 @@ impl ModelReport {
             mean_track_length: model.mean_track_length(),
             mean_reprojection_error_px: model.mean_reprojection_error_px(),
             cameras: model
-                .cameras()
-                .filter(|(id, _)| is_used(id))
-                .map(|(id, _)| CameraReport::of_model(id, mapped))
+                .registered_cameras()
+                .into_iter()
+                .map(|id| CameraReport::of_model(id, mapped))
                 .collect(),
             rig: None,
             loop_pairs: 0,

@@ -1,7 +1,5 @@
 //! Poses that jump: a camera centre far from where the images before and after place it.
 
-use std::collections::BTreeSet;
-
 use tiepoint_geometry::numeric::median;
 use tiepoint_scene::{CameraId, ImageId, Reconstruction};
 
@@ -28,9 +26,7 @@ pub struct Jump {
 
 /// The images of each camera with capture times whose centres are off.
 pub fn jumps(model: &Reconstruction) -> Vec<Jump> {
-    let cameras: BTreeSet<CameraId> =
-        model.registered().map(|(_, image, _)| image.camera).collect();
-    cameras.into_iter().flat_map(|camera| jumps_of(model, camera)).collect()
+    model.registered_cameras().into_iter().flat_map(|camera| jumps_of(model, camera)).collect()
 }
 
 fn jumps_of(model: &Reconstruction, camera: CameraId) -> Vec<Jump> {

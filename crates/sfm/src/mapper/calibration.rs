@@ -18,22 +18,22 @@ use crate::tracks::without_points_at_infinity;
 const VERY_STRONG: f64 = 5.0;
 
 impl Refiner<'_> {
-    /// Takes calibrations that were kept as priors again: the model may be a joined one.
-    pub(super) fn forget_verdicts(&mut self) {
+    /// Makes calibrations priors again that were kept: the model may be a joined one.
+    pub(super) fn restore_calibration_priors(&mut self) {
         let Reconstruction { calibrated, intrinsics_priors, .. } = &mut self.solution.model;
         calibrated.retain(|camera| !intrinsics_priors.contains_key(camera));
     }
 
     /// Keeps calibrations as they are, unless the images contradict them. Images that are too few
     /// to tell contradict nothing.
-    pub(super) fn judge_calibrations(&mut self, watch: &mut Watch) -> Result<(), Error> {
+    pub(super) fn test_calibrations(&mut self, watch: &mut Watch) -> Result<(), Error> {
         let model = &self.solution.model;
-        let is_used = |id: CameraId| model.registered().any(|(_, image, _)| image.camera == id);
+        let registered = model.registered_cameras();
         let calibrated: Vec<(CameraId, IntrinsicsPrior)> = model
             .intrinsics_priors
             .iter()
             .filter(|(id, prior)| {
-                is_used(**id) && model.camera(**id).intrinsics.kind() == prior.mean.kind()
+                registered.contains(id) && model.camera(**id).intrinsics.kind() == prior.mean.kind()
             })
             .map(|(id, prior)| (*id, prior.clone()))
             .collect();
@@ -44,8 +44,8 @@ impl Refiner<'_> {
         let found = calibration_evidence(&without_points_at_infinity(model), &options);
         let CalibrationEvidence { log_bayes_factor, cameras } = found.unwrap_or_default();
         if let Some(evidence) = log_bayes_factor {
-            let judged = cameras.into_iter().map(|camera| (camera, evidence));
-            self.solution.calibration_evidence = judged.collect();
+            let tested = cameras.into_iter().map(|camera| (camera, evidence));
+            self.solution.calibration_evidence = tested.collect();
             if evidence > VERY_STRONG {
                 return Ok(());
             }

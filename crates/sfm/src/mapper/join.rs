@@ -13,7 +13,7 @@ use std::ops::ControlFlow;
 
 use tiepoint_adjust::{RefineIntrinsics, Term};
 use tiepoint_geometry::Rigid3;
-use tiepoint_scene::{CameraId, Image, ImageId, ImagePair, PointId, Reconstruction, Track};
+use tiepoint_scene::{Image, ImageId, ImagePair, PointId, Reconstruction, Track};
 
 use super::existing::similarity_of_poses;
 use super::growth::Growth;
@@ -145,7 +145,7 @@ fn with_cameras_of(
     one: &Reconstruction,
     mut model: Reconstruction,
 ) -> Option<Reconstruction> {
-    for camera in cameras(&model).intersection(&cameras(one)) {
+    for camera in model.registered_cameras().intersection(&one.registered_cameras()) {
         model.copy_camera(one, *camera);
     }
     refined(trial, model)
@@ -162,7 +162,7 @@ fn merged(trial: Input, model: &Reconstruction, other: &Reconstruction) -> Optio
     growth.grow(&mut unwatched).ok()?;
     let extended = growth.refiner.solution.model;
     let mut merged = model.clone();
-    for camera in cameras(&extended).difference(&cameras(model)) {
+    for camera in extended.registered_cameras().difference(&model.registered_cameras()) {
         merged.copy_camera(&extended, *camera);
     }
     let max_error_px = trial.options.filter.max_error_px;
@@ -198,10 +198,6 @@ fn detected(input: Input, mut model: Reconstruction) -> Reconstruction {
         }
     }
     model
-}
-
-fn cameras(model: &Reconstruction) -> BTreeSet<CameraId> {
-    model.registered().map(|(_, image, _)| image.camera).collect()
 }
 
 /// Whether most of the verified matches of these pairs agree with the poses.

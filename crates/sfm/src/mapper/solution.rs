@@ -18,7 +18,7 @@ pub(super) struct Solution {
     pub(super) shutters: Option<RollingShutters>,
     pub(super) num_loop_pairs: usize,
     pub(super) rig: Option<CalibratedRig>,
-    /// Logarithm of the Bayes factor against the exact calibration of each camera that was judged.
+    /// Logarithm of the Bayes factor against the exact calibration of each camera that was tested.
     pub(super) calibration_evidence: BTreeMap<CameraId, f64>,
 }
 

@@ -30,7 +30,7 @@ enum Stage {
     Refine(RefinementSchedule),
     /// Corrects the keypoints for rolling shutters.
     RollingShutter { is_last: bool },
-    /// Decides whether calibrations are exact.
+    /// Tests whether the images contradict the calibrations.
     Calibrations,
     /// Closes loops.
     Loops,
@@ -40,7 +40,7 @@ enum Stage {
     Rig,
 }
 
-/// Calibrations are judged when loops are closed, because these determine focal lengths.
+/// Calibrations are tested when loops are closed, because these determine focal lengths.
 ///
 /// The first rolling-shutter stage comes before loop closure: a rolling shutter changes the scale
 /// along a drive, sevenfold in 2 km, and no loop closes over such a change.
@@ -79,7 +79,7 @@ impl Refiner<'_> {
         descriptors: &mut Descriptors,
         watch: &mut Watch,
     ) -> Result<MappedModel, Error> {
-        self.forget_verdicts();
+        self.restore_calibration_priors();
         let readout = self.input.options.readout;
         self.solution.shutters =
             readout.map(|readout| RollingShutters::new(&self.solution.model, readout));
@@ -120,9 +120,9 @@ impl Refiner<'_> {
             calibration_evidence,
             ..
         } = self.solution;
-        let is_used = |camera| model.registered().any(|(_, image, _)| image.camera == camera);
+        let registered = model.registered_cameras();
         let mut shutters = shutters.map_or(Vec::new(), |shutters| shutters.get().to_vec());
-        shutters.retain(|shutter| is_used(shutter.camera));
+        shutters.retain(|shutter| registered.contains(&shutter.camera));
         let row_poses = row_poses(&model, &shutters);
         Ok(MappedModel {
             reconstruction: model,
@@ -150,7 +150,7 @@ impl Refiner<'_> {
                 self.refine_globally(&schedule, watch)
             }
             Stage::RollingShutter { is_last } => self.rectify_shutters(is_last, watch),
-            Stage::Calibrations => self.judge_calibrations(watch),
+            Stage::Calibrations => self.test_calibrations(watch),
             Stage::Loops => self.close_loops(watch),
             Stage::Gauge => {
                 self.restore_gauge();

@@ -8,8 +8,6 @@
 //! that the motion does not determine stays at zero, for example the translation along the common
 //! axis of all rotations (Tsai & Lenz 1989). The result initialises the rig constraint.
 
-use std::collections::BTreeSet;
-
 use tiepoint_geometry::nalgebra::Vector3;
 use tiepoint_geometry::numeric::median;
 use tiepoint_geometry::solvers::umeyama;
@@ -43,17 +41,17 @@ pub(crate) fn merge_by_motion(
     first: &Reconstruction,
     second: &Reconstruction,
 ) -> Option<Reconstruction> {
-    if !cameras(first).is_disjoint(&cameras(second)) {
+    if !first.registered_cameras().is_disjoint(&second.registered_cameras()) {
         return None;
     }
-    let references = timed_poses(first, *cameras(first).first()?);
-    let others = cameras(second).into_iter().map(|camera| timed_poses(second, camera));
+    let references = timed_poses(first, *first.registered_cameras().first()?);
+    let others = second.registered_cameras().into_iter().map(|camera| timed_poses(second, camera));
     let others = others.max_by_key(Vec::len)?;
     let first_from_second = similarity(&Trajectory::new(references), &others)?;
     let mut merged = first.clone();
     let mut moved = second.clone();
     moved.transform(&first_from_second);
-    for camera in cameras(second) {
+    for camera in second.registered_cameras() {
         merged.copy_camera(&moved, camera);
     }
     let posed: Vec<(ImageId, Rigid3)> =
@@ -71,10 +69,6 @@ pub(crate) fn merge_by_motion(
     merged.rigs.clear();
     merged.frames.clear();
     Some(merged)
-}
-
-fn cameras(model: &Reconstruction) -> BTreeSet<CameraId> {
-    model.registered().map(|(_, image, _)| image.camera).collect()
 }
 
 /// The registered images of a camera: times in seconds and `cam_from_world`, in order of time.

@@ -148,7 +148,7 @@ fn a_drive_corrects_a_calibration_and_keeps_an_exact_one() {
 }
 
 #[test]
-fn cameras_that_are_merged_by_motion_keep_their_verdicts() {
+fn cameras_that_are_merged_by_motion_were_tested_separately() {
     let (scene, graph) = street();
     let blank = calibrated(&scene, LENS_FIELD_PX, [0.0, 2.0 * CALIBRATION_ERROR]);
     let counts: Vec<usize> = blank.images().map(|(_, image)| image.keypoints.len()).collect();
