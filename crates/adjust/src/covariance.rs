@@ -6,9 +6,9 @@
 //! covariance for independent residuals states a third to an eighth of the true deviations.
 //! Cluster-robust covariances need no model of the correlation.
 
-use tiepoint_ba::nalgebra::DMatrix;
-use tiepoint_ba::{AnyKey, ClusteredCovariance, FactorKey};
-use tiepoint_scene::Reconstruction;
+use tiepoint_ba::nalgebra::{DMatrix, Vector2};
+use tiepoint_ba::{AnyKey, ClusteredCovariance, FactorKey, Problem};
+use tiepoint_scene::{CameraId, Reconstruction};
 
 use crate::Error;
 use crate::image_grid::grid_cell;
@@ -47,16 +47,31 @@ pub fn covariance_of_fit(
         .map(|observation| {
             let image = model.image(observation.image);
             let pixel = &image.keypoints[observation.keypoint as usize].pixel;
-            let cell = grid_cell(model.camera(image.camera), pixel, CELLS);
-            (observation.factor, (image.camera.index() * CELLS * CELLS + cell) as u32)
+            (observation.factor, cluster_cell(model, image.camera, pixel))
         })
         .collect();
     cells.sort_unstable();
+    clustered_by_track_and_cell(variables.problem(), &cells, noise, keys)
+}
+
+/// The cluster of a keypoint: a part of the camera's image.
+pub(crate) fn cluster_cell(model: &Reconstruction, camera: CameraId, pixel: &Vector2<f64>) -> u32 {
+    let cell = grid_cell(model.camera(camera), pixel, CELLS);
+    (camera.index() * CELLS * CELLS + cell) as u32
+}
+
+/// [`covariance_of_fit`] of a problem with the clusters of its reprojection errors, in order.
+pub(crate) fn clustered_by_track_and_cell(
+    problem: &Problem,
+    cells: &[(FactorKey, u32)],
+    noise: &FitNoise,
+    keys: &[AnyKey],
+) -> Result<DMatrix<f64>, Error> {
     let cell_of = |factor| {
         let index = cells.binary_search_by_key(&factor, |(key, _)| *key).ok()?;
         Some(cells[index].1)
     };
-    let found = variables.problem().clustered_covariance(keys, cell_of)?;
+    let found = problem.clustered_covariance(keys, cell_of)?;
     let ClusteredCovariance { by_landmark, by_cluster, by_both, independent } = &found;
     let (by_track, by_cell) = (by_landmark.matrix(), by_cluster.matrix());
     let clustered =

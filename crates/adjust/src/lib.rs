@@ -3,6 +3,9 @@
 mod calibration_evidence;
 mod covariance;
 mod error;
+mod field_effects;
+mod field_fit;
+mod field_problem;
 mod gauge;
 mod image_grid;
 mod intrinsics;
@@ -21,6 +24,7 @@ mod variables;
 pub use calibration_evidence::{CalibrationEvidence, calibration_evidence};
 pub use covariance::covariance_of_fit;
 pub use error::Error;
+pub use field_fit::{FieldFit, fit_with_lens_fields};
 pub use gauge::{Gauge, fix_gauge};
 pub use image_grid::grid_cell;
 pub use noise::{FitNoise, keypoint_sigma_px, relative_noise};

@@ -37,7 +37,7 @@ pub struct ComposedPose {
 
 /// Reads the intrinsics of a camera from the solved problem. The type of the parameter block
 /// depends on the camera model.
-type ReadCamera = Box<dyn Fn(&Problem) -> Vec<f64>>;
+pub(crate) type ReadCamera = Box<dyn Fn(&Problem) -> Vec<f64>>;
 
 impl Variables {
     pub(crate) fn new() -> Self {

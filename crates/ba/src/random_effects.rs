@@ -23,11 +23,7 @@ pub struct RandomEffects {
 impl RandomEffects {
     /// Logarithm of the Bayes factor for fixed effects that scatter about their expectations as
     /// these state, against fixed effects that equal them. `None` if fixed effects are
-    /// undetermined.
-    ///
-    /// The variance of the random effects is their mean square after a fit of the fixed effects,
-    /// less the noise but not below zero, over the `modes` best determined modes. Modes that are
-    /// hardly determined show other errors. A mode is an eigenvector of the information.
+    /// undetermined. The variance of the random effects is [`RandomEffects::variance`].
     pub fn log_bayes_factor(&self, modes: usize) -> Option<f64> {
         let FitWithout { fixed, noise, shifts, information, slopes } = self.fit_without()?;
         let variance = variance_of(information, &slopes, modes);
@@ -39,6 +35,15 @@ impl RandomEffects {
             Some(-0.5 * (fixed.dot(&cholesky.solve(&fixed)) + log_determinant))
         };
         Some(log_likelihood(1.0)? - log_likelihood(0.0)?)
+    }
+
+    /// Variance of the random effects: their mean square after a fit of the fixed effects, less the
+    /// noise but not below zero, over the `modes` best determined modes. Modes that are hardly
+    /// determined show other errors. A mode is an eigenvector of the information. `None` if fixed
+    /// effects are undetermined.
+    pub fn variance(&self, modes: usize) -> Option<f64> {
+        let FitWithout { information, slopes, .. } = self.fit_without()?;
+        Some(variance_of(information, &slopes, modes))
     }
 
     fn fit_without(&self) -> Option<FitWithout> {
@@ -71,7 +76,7 @@ struct FitWithout {
     slopes: DVector<f64>,
 }
 
-/// Variance of random effects.
+/// [`RandomEffects::variance`] of what is left after the elimination of the fixed effects.
 fn variance_of(information: DMatrix<f64>, slopes: &DVector<f64>, modes: usize) -> f64 {
     let eigen = information.symmetric_eigen();
     let slopes = eigen.eigenvectors.transpose() * slopes;

@@ -23,6 +23,7 @@ mod term_frame;
 #[cfg(test)]
 mod test_scene;
 mod transaction;
+mod uncertain_focal_lengths;
 
 pub use existing::ExistingPoses;
 pub use run::Mapper;

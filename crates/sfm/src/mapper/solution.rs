@@ -1,4 +1,4 @@
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use tiepoint_scene::{CameraId, ImagePair, Reconstruction};
 
@@ -20,6 +20,10 @@ pub(super) struct Solution {
     pub(super) rig: Option<CalibratedRig>,
     /// Logarithm of the Bayes factor against the exact calibration of each camera that was tested.
     pub(super) calibration_evidence: BTreeMap<CameraId, f64>,
+    /// Cameras without a calibration whose intrinsics are those of a fit with lens fields.
+    pub(super) kept_intrinsics: BTreeSet<CameraId>,
+    /// Standard deviations of intrinsics by a fit with lens fields.
+    pub(super) field_sds: BTreeMap<CameraId, Vec<f64>>,
 }
 
 /// Phase of the construction.
@@ -46,6 +50,8 @@ impl Solution {
             num_loop_pairs: 0,
             rig: None,
             calibration_evidence: BTreeMap::new(),
+            kept_intrinsics: BTreeSet::new(),
+            field_sds: BTreeMap::new(),
         }
     }
 }

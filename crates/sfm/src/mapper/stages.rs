@@ -32,6 +32,8 @@ enum Stage {
     RollingShutter { is_last: bool },
     /// Tests whether the images contradict the calibrations.
     Calibrations,
+    /// Fits focal lengths that the images hardly determine.
+    UncertainFocalLengths,
     /// Closes loops.
     Loops,
     /// Moves an extended model back into its frame.
@@ -40,17 +42,19 @@ enum Stage {
     Rig,
 }
 
-/// Calibrations are tested when loops are closed, because these determine focal lengths.
+/// Calibrations are tested and focal lengths fitted when loops are closed, because these determine
+/// focal lengths.
 ///
 /// The first rolling-shutter stage comes before loop closure: a rolling shutter changes the scale
 /// along a drive, sevenfold in 2 km, and no loop closes over such a change.
-const STAGES: [Stage; 8] = [
+const STAGES: [Stage; 9] = [
     Stage::Refine(RefinementSchedule::BEFORE_LOOP_CLOSURE),
     Stage::RollingShutter { is_last: false },
     Stage::Loops,
     Stage::Refine(RefinementSchedule::FINAL),
     Stage::RollingShutter { is_last: true },
     Stage::Calibrations,
+    Stage::UncertainFocalLengths,
     Stage::Gauge,
     Stage::Rig,
 ];
@@ -66,7 +70,11 @@ impl Stage {
         match self {
             Self::RollingShutter { .. } => Some(OptionalStage::RollingShutter),
             Self::Rig => Some(OptionalStage::Rig),
-            Self::Refine(_) | Self::Calibrations | Self::Loops | Self::Gauge => None,
+            Self::Refine(_)
+            | Self::Calibrations
+            | Self::UncertainFocalLengths
+            | Self::Loops
+            | Self::Gauge => None,
         }
     }
 }
@@ -103,7 +111,7 @@ impl Refiner<'_> {
             }
         }
         let options = self.adjust_options(&RefinementSchedule::FINAL);
-        let intrinsics_sds = match self.input.options.refine == RefineIntrinsics::NONE {
+        let mut intrinsics_sds = match self.input.options.refine == RefineIntrinsics::NONE {
             true => BTreeMap::new(),
             false => {
                 let terms = &mut active(&mut self.terms, &self.solution);
@@ -111,15 +119,20 @@ impl Refiner<'_> {
             }
         };
         let Solution {
-            model,
+            mut model,
             initial_pair,
             is_in_frame_of_terms,
             shutters,
             num_loop_pairs,
             rig,
             calibration_evidence,
+            kept_intrinsics,
+            field_sds,
             ..
         } = self.solution;
+        // Later adjustments may refine them.
+        model.calibrated.retain(|camera| !kept_intrinsics.contains(camera));
+        intrinsics_sds.extend(field_sds);
         let registered = model.registered_cameras();
         let mut shutters = shutters.map_or(Vec::new(), |shutters| shutters.get().to_vec());
         shutters.retain(|shutter| registered.contains(&shutter.camera));
@@ -151,6 +164,7 @@ impl Refiner<'_> {
             }
             Stage::RollingShutter { is_last } => self.rectify_shutters(is_last, watch),
             Stage::Calibrations => self.test_calibrations(watch),
+            Stage::UncertainFocalLengths => self.fit_uncertain_focal_lengths(watch),
             Stage::Loops => self.close_loops(watch),
             Stage::Gauge => {
                 self.restore_gauge();

@@ -1,0 +1,118 @@
+//! Focal lengths of cameras without a calibration that images hardly determine.
+
+use std::cmp::Reverse;
+use std::collections::BTreeMap;
+
+use tiepoint_adjust::{FieldFit, Scope, fit_with_lens_fields};
+use tiepoint_scene::{Camera, CameraId, IntrinsicsPrior, Reconstruction};
+
+use super::intrinsics_sds::intrinsics_sds;
+use super::refinement_schedule::RefinementSchedule;
+use super::refiner::Refiner;
+use crate::Error;
+use crate::event::Watch;
+use crate::tracks::without_points_at_infinity;
+
+/// A focal length is uncertain if its standard deviation moves the projection of some ray at the
+/// border of the image by more than this. It is the unit of calibrations, too
+/// (`--calibration-sigma`). Photos around a place have 0.02 to 0.5 px, drives that go straight 2 to
+/// 20 px: half and double change no set of the bench of windows.
+const MAX_EFFECT_PX: f64 = 1.0;
+/// Quantile of the normal distribution for a significance of 1 %, two-sided. Half takes the fit on
+/// 4 of 11 drives with uncertain focal lengths and double on one, in place of two.
+const SIGNIFICANT: f64 = 2.58;
+/// Cameras of fewer images tell too little of a field.
+const MIN_IMAGES: usize = 3;
+/// Cameras that are fitted at most, those with the most images: the cost grows with the cube.
+const MAX_CAMERAS: usize = 8;
+
+/// Standard deviations of the intrinsics of each camera.
+type Deviations = BTreeMap<CameraId, Vec<f64>>;
+
+impl Refiner<'_> {
+    /// Where a focal length is uncertain, fits the cameras without a calibration with a lens field
+    /// for each. If a focal length of this fit contradicts that without fields, all take their
+    /// intrinsics from it and keep them; else their standard deviations count the difference.
+    /// Models whose rigs or terms may determine focal lengths stay as they are.
+    pub(super) fn fit_uncertain_focal_lengths(&mut self, watch: &mut Watch) -> Result<(), Error> {
+        let is_fixed = self.input.known_rigs.is_some() || !self.terms.is_empty();
+        if is_fixed || !self.input.options.refine.focal {
+            return Ok(());
+        }
+        let mut options = self.adjust_options(&RefinementSchedule::FINAL);
+        let sds = intrinsics_sds(&self.solution.model, &options, &mut []);
+        let cameras = cameras_to_fit(&self.solution.model, &sds);
+        if cameras.is_empty() {
+            return Ok(());
+        }
+        // A wrong principal point bends the image as a wrong focal length does.
+        options.refine.principal_point = self.input.options.refine.principal_point;
+        let model = without_points_at_infinity(&self.solution.model);
+        // Nothing is better known where the fit fails.
+        let fits = fit_with_lens_fields(&model, &cameras, &options).unwrap_or_default();
+        if !fits.iter().any(|fit| contradicts(fit, &model, &sds)) {
+            let counted = fits.iter().map(|fit| (fit.camera, with_difference(fit, &model, &sds)));
+            self.solution.field_sds = counted.collect();
+            return Ok(());
+        }
+        let model = &mut self.solution.model;
+        for FieldFit { camera, intrinsics, sds } in fits {
+            model.camera_mut(camera).intrinsics = intrinsics;
+            model.calibrated.insert(camera);
+            self.solution.kept_intrinsics.insert(camera);
+            self.solution.field_sds.insert(camera, sds);
+        }
+        // Poses and points follow the intrinsics before tracks change.
+        self.adjust(&Scope::Global, &RefinementSchedule::FINAL)?;
+        self.complete();
+        self.refine_globally(&RefinementSchedule::FINAL, watch)
+    }
+}
+
+/// The cameras without a calibration, in order of their ids; none if their focal lengths are
+/// certain. Intrinsics that a fit keeps would pass for exact.
+fn cameras_to_fit(model: &Reconstruction, sds: &Deviations) -> Vec<CameraId> {
+    let is_free = |id: &CameraId| !model.intrinsics_priors.contains_key(id);
+    let is_uncertain = |id: &CameraId| {
+        let camera = model.camera(*id);
+        let of_effect =
+            IntrinsicsPrior::new(camera.intrinsics, camera.width, camera.height, MAX_EFFECT_PX);
+        focal(camera).is_some_and(|index| sds[id][index] > of_effect.sigmas[index])
+    };
+    let count = |id: CameraId| model.registered().filter(|(_, it, _)| it.camera == id).count();
+    let free = sds.keys().copied().filter(is_free).map(|id| (count(id), id));
+    let mut found: Vec<(usize, CameraId)> =
+        free.filter(|(count, _)| *count >= MIN_IMAGES).collect();
+    found.sort_by_key(|(count, camera)| (Reverse(*count), *camera));
+    found.truncate(MAX_CAMERAS);
+    let mut cameras: Vec<CameraId> = found.into_iter().map(|(_, camera)| camera).collect();
+    if !cameras.iter().any(is_uncertain) {
+        return Vec::new();
+    }
+    cameras.sort();
+    cameras
+}
+
+/// Index of the first focal length.
+fn focal(camera: &Camera) -> Option<usize> {
+    camera.intrinsics.kind().focal_indices().first().copied()
+}
+
+/// Whether the focal length of a fit contradicts that of the model, given the standard deviations
+/// of both.
+fn contradicts(fit: &FieldFit, model: &Reconstruction, sds: &Deviations) -> bool {
+    let camera = model.camera(fit.camera);
+    focal(camera).is_some_and(|index| {
+        let moved = fit.intrinsics.params()[index] - camera.intrinsics.params()[index];
+        moved.abs() > SIGNIFICANT * fit.sds[index].hypot(sds[&fit.camera][index])
+    })
+}
+
+/// Standard deviations of a model's intrinsics: those of the fit with the difference from it, or
+/// the own ones if they are larger.
+fn with_difference(fit: &FieldFit, model: &Reconstruction, sds: &Deviations) -> Vec<f64> {
+    let of_model = &model.camera(fit.camera).intrinsics;
+    let differences = fit.intrinsics.params().iter().zip(of_model.params()).map(|(a, b)| a - b);
+    let of_fit = differences.zip(&fit.sds).map(|(difference, sd)| difference.hypot(*sd));
+    of_fit.zip(&sds[&fit.camera]).map(|(of_fit, own)| of_fit.max(*own)).collect()
+}
