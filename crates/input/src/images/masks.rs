@@ -28,8 +28,8 @@ impl<'a> Masks<'a> {
     pub(super) fn of(&self, name: &str, skipped: &mut Vec<SkippedFile>) -> Option<PathBuf> {
         let stem = Path::new(name).with_extension("").to_string_lossy().into_owned();
         let of_stem = [".png", ".mask.png", "_mask.png"].map(|end| format!("{stem}{end}"));
-        let names: Vec<String> =
-            [format!("{name}.png"), name.to_owned()].into_iter().chain(of_stem).collect();
+        let names = [format!("{name}.png"), name.to_owned()].into_iter().chain(of_stem);
+        let names: Vec<String> = names.collect();
         let as_written = names.iter().map(|name| self.folder.join(name)).find(|path| {
             let Ok(metadata) = fs::metadata(path) else { return false };
             if let (Some(kind), false) = (irregular_kind(&metadata), metadata.is_dir()) {

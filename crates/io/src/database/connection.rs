@@ -97,8 +97,7 @@ impl Database {
                 if !self.columns("inlier_matches")?.is_empty() {
                     return Err(self.content(
                         "is a database of COLMAP of 2017, which has to be upgraded: open it with a \
-                        newer COLMAP once, or give it to `tiepoint reconstruct --database`, which \
-                        copies it"
+                        newer COLMAP once, or give it with `features.database`, which copies it"
                             .to_owned(),
                     ));
                 }
