@@ -27,7 +27,7 @@ pub enum Replace {
     Nothing,
     /// A file with this program's mark.
     Marked(Mark),
-    /// Any file that is not an input: the user said so.
+    /// Any file that is not an input, but not through a link: the user said so.
     Anything,
 }
 
@@ -48,7 +48,7 @@ impl Replace {
 ///
 /// # Errors
 ///
-/// The file is an input, or may not be replaced, and those of `write`.
+/// The file is an input, or may not be replaced, or only through a link, and those of `write`.
 pub fn write_file<'a, E: From<Error>>(
     path: &Path,
     inputs: impl IntoIterator<Item = &'a Path>,
@@ -59,6 +59,11 @@ pub fn write_file<'a, E: From<Error>>(
         && inputs.into_iter().any(|input| FileId::of(input).as_ref() == Some(&id))
     {
         return Err(Error::IsInput { path: path.to_owned() }.into());
+    }
+    let is_foreign = || Ok::<_, Error>(!may_be_replaced(path, Replace::Nothing)?);
+    if replace == Replace::Anything && path.is_symlink() && is_foreign()? {
+        // The user named the link, and maybe somebody else chose where it leads.
+        return Err(Error::LinkInFolder { path: path.to_owned() }.into());
     }
     if may_be_replaced(path, replace)? {
         return write(path);
@@ -140,5 +145,14 @@ mod tests {
         put("any", &[], Replace::Anything).unwrap();
         assert_eq!(fs::read(&path).unwrap(), b"any");
         assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 1);
+        #[cfg(unix)]
+        {
+            let theirs = dir.path().join("theirs.txt");
+            fs::rename(&path, &theirs).unwrap();
+            std::os::unix::fs::symlink(&theirs, &path).unwrap();
+            let through_link = put("more", &[], Replace::Anything);
+            assert!(matches!(through_link, Err(Error::LinkInFolder { .. })));
+            assert_eq!(fs::read(&theirs).unwrap(), b"any");
+        }
     }
 }

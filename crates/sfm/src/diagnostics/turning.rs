@@ -50,8 +50,10 @@ pub struct Turning {
     pub is_fisheye: bool,
 }
 
-/// The keypoints of a pair that observe the same points.
-type Pair = Vec<[Vector2<f64>; 2]>;
+/// Two keypoints that observe the same point.
+type Pixels = [Vector2<f64>; 2];
+/// Those of a pair of images.
+type Pair = Vec<Pixels>;
 
 /// The lens with which rotations fit the pairs of the model's most frequent image size best; `None`
 /// if these are less than half of its images, or no lens comes near.
@@ -99,7 +101,7 @@ pub fn turning(model: &Reconstruction) -> Option<Turning> {
 /// most matches first, and the median of both residuals of a pair: the error of the model that a
 /// rotation is compared with.
 fn pairs_of(model: &Reconstruction, is_used: &dyn Fn(ImageId) -> bool) -> (Vec<Pair>, f64) {
-    let mut matches: BTreeMap<[ImageId; 2], Vec<([Vector2<f64>; 2], f64)>> = BTreeMap::new();
+    let mut matches: BTreeMap<[ImageId; 2], Vec<(Pixels, f64)>> = BTreeMap::new();
     for (_, track) in model.tracks() {
         let observed = track.observations.iter().filter_map(|o| {
             let image = model.image(o.image);
