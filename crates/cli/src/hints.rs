@@ -56,7 +56,7 @@ const OPTIONS: [(&str, &str); 34] = [
 /// Stages and tools: their commands, and the functions of the Python package.
 const COMMANDS: [(&str, &str, &str); 6] = [
     ("model.info", "`tiepoint model info`", "model_info"),
-    ("model.undistort", "`tiepoint undistort`", "undistort"),
+    ("model.undistort", "`tiepoint undistort`", "undistort_images"),
     ("stage.dense", "`tiepoint dense`", "dense"),
     ("stage.features", "`tiepoint features`", "extract_features"),
     ("stage.map", "`tiepoint map`", "map_images"),
