@@ -60,8 +60,9 @@ pub fn write_file<'a, E: From<Error>>(
     {
         return Err(Error::IsInput { path: path.to_owned() }.into());
     }
-    let is_foreign = || Ok::<_, Error>(!may_be_replaced(path, Replace::Nothing)?);
-    if replace == Replace::Anything && path.is_symlink() && is_foreign()? {
+    // A link to a device, as /dev/stdout is one, may stay.
+    let is_device = || fs::metadata(path).is_ok_and(|found| !found.is_file());
+    if replace == Replace::Anything && path.is_symlink() && !is_device() {
         // The user named the link, and maybe somebody else chose where it leads.
         return Err(Error::LinkInFolder { path: path.to_owned() }.into());
     }
@@ -153,6 +154,10 @@ mod tests {
             let through_link = put("more", &[], Replace::Anything);
             assert!(matches!(through_link, Err(Error::LinkInFolder { .. })));
             assert_eq!(fs::read(&theirs).unwrap(), b"any");
+            fs::remove_file(&theirs).unwrap();
+            let through_link = put("more", &[], Replace::Anything);
+            assert!(matches!(through_link, Err(Error::LinkInFolder { .. })));
+            assert!(!theirs.exists());
         }
     }
 }

@@ -24,8 +24,8 @@ impl<'a> Masks<'a> {
     }
 
     /// The mask of an image: `NAME.png`, `NAME`, or the name with `png`, `mask.png` or `_mask.png`
-    /// for the extension, as written or else as it looks. An entry with that name that is no regular
-    /// file is skipped.
+    /// for the extension, as written or else as it looks. An entry with that name that is no
+    /// regular file is skipped.
     pub(super) fn of(&self, name: &str, skipped: &mut Vec<SkippedFile>) -> Option<PathBuf> {
         let stem = Path::new(name).with_extension("").to_string_lossy().into_owned();
         let of_stem = [".png", ".mask.png", "_mask.png"].map(|end| format!("{stem}{end}"));
