@@ -263,6 +263,7 @@ def adjust(
     model: Value,
     *,
     output: Optional[Value] = None,
+    overwrite: bool = False,
     fix_intrinsics: bool = False,
     threads: Optional[int] = None,
     progress: Progress = None,
@@ -308,6 +309,7 @@ def model_align(
     max_error: Optional[Value] = None,
     max_error_px: Optional[Value] = None,
     save_transform: Optional[Value] = None,
+    overwrite: bool = False,
     threads: Optional[int] = None,
     progress: Progress = None,
 ) -> dict[str, Any]: ...
@@ -333,6 +335,7 @@ def export(
     to: Value,
     output: Value,
     *,
+    overwrite: bool = False,
     images: Optional[Value] = None,
     rigid: bool = False,
     detected_keypoints: bool = False,

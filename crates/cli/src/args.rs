@@ -450,6 +450,10 @@ pub(crate) struct Adjust {
     /// Where to write the result in the format of the input; without it only the costs are printed.
     #[arg(short, long = "output", value_name = "OUT")]
     pub(crate) output: Option<PathBuf>,
+    /// Replaces a file at the place of the result, whoever made it. Inputs are never replaced, nor
+    /// other files in a folder.
+    #[arg(long, requires = "output")]
+    pub(crate) overwrite: bool,
     /// Keeps all intrinsics fixed. Without it those of a calibration have a prior at their values,
     /// and those that mapping kept with --refine none stay fixed.
     #[arg(long)]
@@ -577,6 +581,9 @@ pub(crate) struct AlignModel {
     /// Also writes the transform to this file, for `model transform`.
     #[arg(long, value_name = "FILE")]
     pub(crate) save_transform: Option<PathBuf>,
+    /// Replaces the file of --save-transform, whoever made it. Inputs are never replaced.
+    #[arg(long, requires = "save_transform")]
+    pub(crate) overwrite: bool,
 }
 
 #[derive(Debug, Args)]
@@ -636,6 +643,10 @@ pub(crate) struct Export {
     /// The file or folder to write.
     #[arg(short, long = "output", value_name = "PATH")]
     pub(crate) output: PathBuf,
+    /// Replaces a file at the place of the result, whoever made it. Inputs are never replaced, nor
+    /// other files in a folder.
+    #[arg(long)]
+    pub(crate) overwrite: bool,
     /// The folder that the names of the model's images begin in; by default the photos are the
     /// inputs of the workspace.
     #[arg(long, value_name = "DIR")]
@@ -671,8 +682,8 @@ pub(crate) struct Undistort {
     /// with --rolling-shutter are where a global shutter would have seen them.
     #[arg(long)]
     pub(crate) detected_keypoints: bool,
-    /// Also writes the images (and masks) at these fractions of the size: 2,4,8 gives images_2,
-    /// images_4 and images_8.
+    /// Also writes the images (and masks) at these fractions of the size, rounded down: 2,4,8
+    /// gives images_2, images_4 and images_8.
     #[arg(
         long,
         value_name = "N,..",

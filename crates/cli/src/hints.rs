@@ -16,7 +16,7 @@ pub(crate) enum Reader {
 }
 
 /// Options of the libraries, and their flags.
-const OPTIONS: [(&str, &str); 33] = [
+const OPTIONS: [(&str, &str); 34] = [
     ("dense.depth_pngs", "--depth-pngs"),
     ("dense.max_image_size", "--max-size"),
     ("dense.normal_maps", "--normal-maps"),
@@ -49,12 +49,14 @@ const OPTIONS: [(&str, &str); 33] = [
     ("mapper.seed", "--seed"),
     ("match.pairs", "--pairs"),
     ("match.seed", "--seed"),
+    ("output.overwrite", "--overwrite"),
     ("stage.redo", "--redo"),
 ];
 
 /// Stages and tools: their commands, and the functions of the Python package.
-const COMMANDS: [(&str, &str, &str); 5] = [
+const COMMANDS: [(&str, &str, &str); 6] = [
     ("model.info", "`tiepoint model info`", "model_info"),
+    ("model.undistort", "`tiepoint undistort`", "undistort_images"),
     ("stage.dense", "`tiepoint dense`", "dense"),
     ("stage.features", "`tiepoint features`", "extract_features"),
     ("stage.map", "`tiepoint map`", "map_images"),

@@ -16,7 +16,7 @@ use tiepoint_pipeline::sfm::geometry::nalgebra::{Matrix3, UnitQuaternion, Vector
 use tiepoint_pipeline::sfm::geometry::{Loss, RansacOptions, Sim3, estimate};
 use tiepoint_pipeline::sfm::model_tools::merge_model;
 use tiepoint_pipeline::sfm::scene::{ImageId, Reconstruction};
-use tiepoint_pipeline::store::write_file;
+use tiepoint_pipeline::store::{Replace, write_file};
 use tiepoint_pipeline::workspace::{PLY_MARK, model_files};
 use tiepoint_pipeline::{Error, Event, Watch};
 
@@ -101,21 +101,23 @@ pub struct Aligned {
     pub points: usize,
     /// The transform new_from_old.
     pub transform: SimilarityInfo,
-    /// Mean distance of the camera centres from their positions.
+    /// Mean distance of the camera centres from their positions, of those that fit.
     pub mean_distance: Option<f64>,
 }
 
-/// Aligns a model and writes it to `output`, and the transform to the file `transform_to`.
+/// Aligns a model and writes it to `output`, and the transform to the file `transform_to`, where
+/// `overwrite` permits to replace a file.
 ///
 /// # Errors
 ///
 /// An input cannot be read, it does not determine the alignment, `transform_to` is an input or
-/// another file that this program did not make, or writing fails.
+/// another file that may not be replaced, or writing fails.
 pub fn align(
     input: &Path,
     to: AlignedTo,
     output: &Path,
     transform_to: Option<&Path>,
+    overwrite: bool,
 ) -> Result<Aligned, Error> {
     let mut model = read_model(input)?;
     let failed = |what: String| Error::Colmap { path: input.to_owned(), what };
@@ -132,7 +134,10 @@ pub fn align(
             let found = similarity_of(&from, &to, max_error, min_common_images.max(3));
             let found = found.map_err(|reason| failed(format!("{reason} {}", path.display())))?;
             let distances = from.iter().zip(&to).map(|(from, to)| (found * *from - to).norm());
-            (found, Some(distances.sum::<f64>() / from.len().max(1) as f64))
+            let is_inlier =
+                |distance: &f64| max_error.is_none_or(|max_error| *distance <= max_error);
+            let distances: Vec<f64> = distances.filter(is_inlier).collect();
+            (found, Some(distances.iter().sum::<f64>() / distances.len().max(1) as f64))
         }
     };
     model.transform(&new_from_old);
@@ -143,7 +148,8 @@ pub fn align(
         inputs.extend(model_files(input));
         // The result may be in this folder, too.
         inputs.extend(model_files(output));
-        write_file(file, inputs.iter().map(PathBuf::as_path), None, |file| {
+        let replace = Replace::new(None, overwrite);
+        write_file(file, inputs.iter().map(PathBuf::as_path), replace, |file| {
             Ok::<_, Error>(similarity::write(file, &new_from_old)?)
         })?;
     }
@@ -215,16 +221,18 @@ pub fn write_as(input: &Path, output: &Path, format: Format) -> Result<(), Error
     write_model(output, &read_model(input)?, format)
 }
 
-/// Writes the points of a model as a PLY file. A PLY file of this program is replaced.
+/// Writes the points of a model as a PLY file. A PLY file of this program is replaced, and any file
+/// that is not an input with `overwrite`.
 ///
 /// # Errors
 ///
 /// The model cannot be read, `output` is an input or another file that this program did not make,
 /// or writing fails.
-pub fn convert_to_ply(input: &Path, output: &Path) -> Result<(), Error> {
+pub fn convert_to_ply(input: &Path, output: &Path, overwrite: bool) -> Result<(), Error> {
     let points = ply::points(&read_model(input)?);
     let inputs = model_files(input);
-    write_file(output, inputs.iter().map(PathBuf::as_path), Some(PLY_MARK), |output| {
+    let replace = Replace::new(Some(PLY_MARK), overwrite);
+    write_file(output, inputs.iter().map(PathBuf::as_path), replace, |output| {
         Ok(ply::write(output, &points)?)
     })
 }

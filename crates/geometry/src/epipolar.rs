@@ -21,6 +21,20 @@ pub fn fundamental_from_essential(
     Some(k2.try_inverse()?.transpose() * essential * k1.try_inverse()?)
 }
 
+/// The epipoles in the first and second image, where F e₁ = 0 and Fᵀ e₂ = 0; `None` if one is at
+/// infinity.
+pub fn epipoles(fundamental: &Matrix3<f64>) -> Option<[Vector2<f64>; 2]> {
+    let svd = fundamental.svd(true, true);
+    let last = svd.singular_values.imin();
+    let first = svd.v_t?.row(last).transpose();
+    let second = svd.u?.column(last).into_owned();
+    let pixel = |point: Vector3<f64>| {
+        let pixel = point.xy() / point.z;
+        pixel.iter().all(|value| value.is_finite()).then_some(pixel)
+    };
+    Some([pixel(first)?, pixel(second)?])
+}
+
 /// The matrix E = K₂ᵀ F K₁. Its two largest singular values are not made equal.
 pub fn essential_from_fundamental(
     fundamental: &Matrix3<f64>,

@@ -73,9 +73,13 @@ pub fn write_with_motion(
             // nerfstudio has k3, and no denominator.
             "FULL_OPENCV" if camera.intrinsics.params()[9..] == [0.0; 3] => "OPENCV",
             other => {
+                let remedy = if camera.intrinsics.kind().focal_indices().is_empty() {
+                    "cut the panoramas into perspective views first"
+                } else {
+                    "undistort the images first, which gives PINHOLE cameras"
+                };
                 let what = format!(
-                    "nerfstudio knows no camera model {other}, which {} was taken with: undistort \
-                    the images first, which gives PINHOLE cameras",
+                    "nerfstudio knows no camera model {other}, which {} was taken with: {remedy}",
                     image.name
                 );
                 return Err(Error::content(path, what));

@@ -351,7 +351,8 @@ pub enum Error {
     /// The format needs rolling shutters, and the model was mapped without.
     #[error(
         "{path} has no rolling shutter: map with `mapper.readout` estimate, or with the readout \
-        time if it is known"
+        time if it is known; for photos of a global shutter `model.undistort` writes the folder \
+        that trainers of splats read"
     )]
     NoShutter {
         /// The model.

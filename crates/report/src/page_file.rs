@@ -5,9 +5,7 @@ use std::io::Write;
 use std::path::Path;
 
 use tiepoint_pipeline::Error;
-use tiepoint_pipeline::store::{
-    AtomicFile, Error as StoreError, Mark, may_be_replaced, write_file,
-};
+use tiepoint_pipeline::store::{AtomicFile, Error as StoreError, Mark, Replace, may_be_replaced};
 
 /// Marks a page as written by this program.
 const MARK: Mark = Mark::Inside("<title>tiepoint</title>");
@@ -18,10 +16,8 @@ const MARK: Mark = Mark::Inside("<title>tiepoint</title>");
 ///
 /// A foreign page or a link exists, or the page cannot be written.
 pub fn write_page(path: &Path, html: &str) -> Result<(), Error> {
-    refuse_link(path)?;
-    write_file(path, [], Some(MARK), |path| {
-        Ok(AtomicFile::write_with(path, |file| file.write_all(html.as_bytes()))?)
-    })
+    refuse_foreign_page(path)?;
+    Ok(AtomicFile::write_with(path, |file| file.write_all(html.as_bytes()))?)
 }
 
 /// Checks before any work is done that [`write_page`] may write.
@@ -32,7 +28,7 @@ pub fn write_page(path: &Path, html: &str) -> Result<(), Error> {
 /// else's.
 pub fn refuse_foreign_page(path: &Path) -> Result<(), Error> {
     refuse_link(path)?;
-    if may_be_replaced(path, Some(MARK))? {
+    if may_be_replaced(path, Replace::Marked(MARK))? {
         Ok(())
     } else {
         Err(StoreError::ForeignFile { path: path.to_owned() }.into())

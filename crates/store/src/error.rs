@@ -52,6 +52,16 @@ pub enum Error {
         /// The file.
         path: PathBuf,
     },
+    /// A result that the user named would replace a file that this program did not write, or that
+    /// was changed since.
+    #[error(
+        "{path} exists, and this program did not make it or it was changed since: move it away, \
+        choose another place for the result, or replace it with `output.overwrite`"
+    )]
+    NamedFile {
+        /// The file.
+        path: PathBuf,
+    },
     /// An interrupted run has committed results that are not all in their final places yet.
     #[error(
         "an earlier run was interrupted while it moved its results into {path}: give the \

@@ -11,6 +11,6 @@ mod regular_file;
 pub use atomic::AtomicFile;
 pub use error::{Error, Result};
 pub use manifest::{MANIFEST, Manifest, is_inside, manifest_files};
-pub use named_file::{Mark, may_be_replaced, write_file};
+pub use named_file::{Mark, Replace, may_be_replaced, write_file};
 pub use output_folder::OutputFolder;
 pub use regular_file::{escaped, irregular_kind, require_regular_file};

@@ -11,8 +11,8 @@ use crate::progress::Progress;
 
 pub(crate) fn adjust(args: &Adjust, output: &Output) -> Result<(), Failure> {
     let mut progress = Progress::new(output);
-    let output_path = args.output.as_deref();
-    let report = adjust_model(&args.model, output_path, args.fix_intrinsics, &mut |event| {
+    let (to, overwrite) = (args.output.as_deref(), args.overwrite);
+    let report = adjust_model(&args.model, to, overwrite, args.fix_intrinsics, &mut |event| {
         progress.watch(event)
     })?;
     drop(progress);

@@ -17,7 +17,8 @@ pub(crate) fn export(args: &Export, output: &Output) -> Result<(), Failure> {
         (false, false) => export_model,
     };
     let model = open_model(&args.workspace, output)?;
-    let source = ExportSource { model: &model, images: args.images.as_deref() };
+    let source =
+        ExportSource { model: &model, images: args.images.as_deref(), overwrite: args.overwrite };
     let exported = write(&source, args.to, &args.output)?;
     output.result(&exported, || describe(&exported))
 }

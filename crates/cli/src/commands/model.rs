@@ -39,7 +39,7 @@ fn align(args: &AlignModel, output: &Output) -> Result<ModelChange, Failure> {
         // Clap requires one of them, and --max-error with --positions.
         (None, ..) => return Err(Failure::Usage("give --to or --positions".to_owned())),
     };
-    Ok(align_model(&model, target, &args.output, args.save_transform.as_deref())?)
+    Ok(align_model(&model, target, &args.output, args.save_transform.as_deref(), args.overwrite)?)
 }
 
 fn crop(args: &CropModel, output: &Output) -> Result<ModelChange, Failure> {

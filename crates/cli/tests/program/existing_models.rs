@@ -272,6 +272,13 @@ fn databases_of_other_programs_may_be_bad_input() {
         let line = format!("reconstruct --database []/foreign.db -o []/other{index}");
         run(dir.path(), &line).failed(1, &parts);
     }
+    let last = "pair_id = (SELECT max(pair_id) FROM two_view_geometries)";
+    for (index, config) in [-1, 10, 77].into_iter().enumerate() {
+        foreign(&file, &format!("UPDATE two_view_geometries SET config = {config} WHERE {last};"));
+        let line = format!("features --database []/foreign.db -o []/config{index}");
+        let named = format!("its configuration {config} is none of COLMAP's, 0 to 9");
+        run(dir.path(), &line).failed(1, &["foreign.db", &named, "verify again"]);
+    }
     foreign(&file, "DELETE FROM keypoints; DELETE FROM matches; DELETE FROM two_view_geometries;");
     run(dir.path(), "features --database []/foreign.db -o []/bad2")
         .failed(1, &["foreign.db", "0 images with keypoints"]);

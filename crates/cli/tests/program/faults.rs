@@ -95,10 +95,14 @@ impl Command {
         let watch = &mut |_: &tiepoint_pipeline::Event| ControlFlow::Continue(());
         match self {
             Self::Export(format, name) => {
-                let source = ExportSource { model: &LocatedModel::open(&ws)?, images: None };
+                let source = ExportSource {
+                    model: &LocatedModel::open(&ws)?,
+                    images: None,
+                    overwrite: false,
+                };
                 export(&source, format, &dir.join("out").join(name)).map(drop)
             }
-            Self::Adjust => adjust(&ws, Some(&dir.join("out")), false, watch).map(drop),
+            Self::Adjust => adjust(&ws, Some(&dir.join("out")), false, false, watch).map(drop),
             Self::View => view(&LocatedModel::open(&ws)?, &ws, &str::to_owned).map(drop),
             Self::Dense => {
                 let options = DenseOptions {

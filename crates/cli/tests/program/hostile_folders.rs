@@ -18,7 +18,7 @@ const SEED: u64 = 20_261_125;
 const COMMANDS_PER_FOLDER: usize = 3;
 
 /// Commands that read the folder `{}/hostile`.
-const READING: [&str; 15] = [
+const READING: [&str; 21] = [
     "model info {}/hostile",
     "export {}/hostile --to ply -o {}/out/x.ply",
     "export {}/hostile --to colmap-text -o {}/out/text",
@@ -34,10 +34,18 @@ const READING: [&str; 15] = [
     "model align {}/model --to {}/hostile -o {}/out/aligned2",
     "localize {}/hostile {}/photos -o {}/out/poses.txt",
     "colmap model_analyzer --path {}/hostile",
+    "model crop {}/hostile --quantiles 0,1 -o {}/out/cropped",
+    "evaluate cloud {}/hostile/points.ply {}/ws/points.ply",
+    "colmap model_converter --input_path {}/hostile --output_type PLY --output_path {}/out/c.ply",
+    "colmap model_aligner --input_path {}/hostile --output_path {}/out/plane \
+     --alignment_type plane",
+    "colmap image_undistorter --image_path {}/photos \
+     --input_path {}/hostile --output_path {}/out/u",
+    "colmap bundle_adjuster --input_path {}/hostile --output_path {}/out/adjusted2",
 ];
 
 /// Commands that write into it.
-const WRITING: [&str; 15] = [
+const WRITING: [&str; 22] = [
     "export {}/model --to colmap -o {}/hostile",
     "export {}/ws --to nerfstudio -o {}/hostile",
     "export {}/ws --to openmvs -o {}/hostile",
@@ -54,6 +62,14 @@ const WRITING: [&str; 15] = [
     "colmap mapper --database_path {}/hostile/database.db --image_path {}/photos \
      --output_path {}/hostile/made",
     "synth -o {}/hostile --frames 1 --size 32x24",
+    "model crop {}/model --quantiles 0,1 -o {}/hostile",
+    "model merge {}/model {}/ws -o {}/hostile",
+    "localize {}/ws {}/photos -o {}/hostile",
+    "export {}/ws --to ply -o {}/hostile/points.ply --overwrite",
+    "colmap image_undistorter --image_path {}/photos --input_path {}/model \
+     --output_path {}/hostile",
+    "colmap model_converter --input_path {}/model --output_type TXT --output_path {}/hostile",
+    "colmap feature_extractor --image_path {}/photos --database_path {}/hostile/database.db",
 ];
 
 /// Names in a workspace at which a link may stand.
@@ -331,7 +347,7 @@ fn drawn_folders_change_nothing_outside_of_them() {
         for _ in 0..COMMANDS_PER_FOLDER {
             scene.reset(draw.below(2) == 0);
             draw_attack(&scene, &mut draw);
-            let all = [READING, WRITING].concat();
+            let all = [&READING[..], &WRITING[..]].concat();
             scene.check(draw.one(&all), &format!("folder {folder}"));
         }
     }

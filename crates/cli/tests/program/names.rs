@@ -103,7 +103,17 @@ fn named_pipes_are_not_waited_for() {
     let says = "is a named pipe and no regular file";
     features("{}/photos --timestamps {}/times.csv").failed(1, &["times.csv", says]);
     features("{}/a.mp4").failed(1, &["a.mp4", says]);
-    features("{}/times.csv").failed(1, &["times.csv", "Not a directory"]);
+    features("{}/times.csv").failed(1, &["times.csv", says]);
+    for (name, what) in [
+        ("sound.m4a", "is a file and no video that is read (mp4, mov"),
+        ("photos/0.png", "is a photo: give the folder that it is in"),
+    ] {
+        let path = dir.path().join(name);
+        if !path.exists() {
+            fs::write(path, "x").unwrap();
+        }
+        features(&format!("{{}}/{name}")).failed(1, &[name, what]);
+    }
     let run = features("{}/photos --masks {}/masks").done();
     assert!(run.stderr().contains("masks/1.png.png: is a named pipe"), "{}", run.stderr());
 }

@@ -354,7 +354,23 @@ fn no_command_replaces_a_file_that_it_reads_or_did_not_make() {
         let first = fs::read(dir.join("new")).unwrap();
         tiepoint_in(dir, &new).done();
         assert!(fs::read(dir.join("new")).unwrap() == first, "{line}");
+        fs::write(dir.join("new"), "mine").unwrap();
+        tiepoint_in(dir, &new).failed(1, &["did not make it", "replace it with --overwrite"]);
+        assert_eq!(fs::read(dir.join("new")).unwrap(), b"mine");
+        let value = if line.starts_with("colmap") { " 1" } else { "" };
+        let overwrite = format!("--overwrite{value}");
+        tiepoint_in(dir, &format!("{new} {overwrite}")).done();
+        assert!(fs::read(dir.join("new")).unwrap() == first, "{line}");
         fs::remove_file(dir.join("new")).unwrap();
+        let input = match line.split_once("/bal.txt") {
+            Some(_) => "bal.txt",
+            None if line.contains("/model ") => "model/points3D.bin",
+            None => "ws/sparse/0/images.bin",
+        };
+        let onto_input = line.replace("<>", &format!("{{}}/{input}"));
+        tiepoint_in(dir, &format!("{onto_input} {overwrite}"))
+            .failed(1, &["is read by this command"]);
+        assert!(files(dir)[&dir.join(input)] == before[&dir.join(input)], "{line}");
     }
 }
 

@@ -72,6 +72,11 @@ proptest! {
         prop_assert!(
             (essential_from_fundamental(&fundamental, &k1, &k2) - essential).norm() < ROUNDING
         );
+        if let Some([first, second]) = epipoles(&fundamental) {
+            // Each is the image of the other camera's centre.
+            prop_assert!((fundamental * first.push(1.0)).norm() < ROUNDING * first.norm());
+            prop_assert!((fundamental.tr_mul(&second.push(1.0))).norm() < ROUNDING * second.norm());
+        }
         let (y1, y2) = (x1.xy().push(1.0), x2.xy().push(1.0));
         let product = (k2 * y2).dot(&(fundamental * k1 * y1));
         prop_assert!((product - y2.dot(&(essential * y1))).abs() < ROUNDING);

@@ -260,8 +260,8 @@ impl ImageFolder {
             Some(masks) if !this.images.is_empty() && this.masks.iter().all(Option::is_none) => {
                 fs::read_dir(masks).map_err(Error::io(masks))?;
                 let what = format!(
-                    "holds no mask: for {0}, `{0}.png` was looked for, or its name with .png for \
-                    its extension",
+                    "holds no mask: for {0}, `{0}.png` was looked for, or its name with .png, \
+                    .mask.png or _mask.png for its extension; each photo needs one of its own",
                     this.images[0].name
                 );
                 Err(Error::content(masks, what))
@@ -681,6 +681,7 @@ impl Listing {
 
     fn of_input(input: &Path, prefix: String) -> Result<Self> {
         let mut this = Self::new(prefix);
+        require_folder(input)?;
         this.list(input, "", 0)?;
         let own_files = manifest_files(input);
         // A folder with only images of this program is an input by intention.
@@ -923,6 +924,24 @@ pub fn is_image(path: &Path) -> bool {
 pub fn is_unread_image(path: &Path) -> bool {
     UNREAD.iter().any(|kind| has_extension(path, kind.extensions))
         && !has_extension(path, &VIDEO_EXTENSIONS)
+}
+
+/// Refuses an input that is a file: videos were taken out of the inputs.
+fn require_folder(input: &Path) -> Result<()> {
+    let Ok(found) = fs::metadata(input) else { return Ok(()) };
+    if found.is_dir() {
+        return Ok(());
+    }
+    require_regular_file(input)?;
+    let what = if is_image(input) || is_unread_image(input) {
+        "is a photo: give the folder that it is in".to_owned()
+    } else {
+        let videos = VIDEO_EXTENSIONS.join(", ");
+        format!(
+            "is a file and no video that is read ({videos}): give a folder of photos, or videos"
+        )
+    };
+    Err(Error::content(input, what))
 }
 
 /// Whether the extension of a file is one of these, in any case.

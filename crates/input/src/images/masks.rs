@@ -23,11 +23,14 @@ impl<'a> Masks<'a> {
         Self { folder, files: OnceCell::new() }
     }
 
-    /// The mask of an image: `NAME.png`, `NAME`, or the name with `png` for the extension, as
-    /// written or else as it looks. An entry with that name that is no regular file is skipped.
+    /// The mask of an image: `NAME.png`, `NAME`, or the name with `png`, `mask.png` or `_mask.png`
+    /// for the extension, as written or else as it looks. An entry with that name that is no
+    /// regular file is skipped.
     pub(super) fn of(&self, name: &str, skipped: &mut Vec<SkippedFile>) -> Option<PathBuf> {
-        let with_png = Path::new(name).with_extension("png").to_string_lossy().into_owned();
-        let names = [format!("{name}.png"), name.to_owned(), with_png];
+        let stem = Path::new(name).with_extension("").to_string_lossy().into_owned();
+        let of_stem = [".png", ".mask.png", "_mask.png"].map(|end| format!("{stem}{end}"));
+        let names = [format!("{name}.png"), name.to_owned()].into_iter().chain(of_stem);
+        let names: Vec<String> = names.collect();
         let as_written = names.iter().map(|name| self.folder.join(name)).find(|path| {
             let Ok(metadata) = fs::metadata(path) else { return false };
             if let (Some(kind), false) = (irregular_kind(&metadata), metadata.is_dir()) {

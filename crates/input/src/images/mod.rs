@@ -11,6 +11,7 @@ mod masks;
 mod pixels;
 mod reduce;
 mod skipped;
+mod tiff_pages;
 
 pub use depth_scale::DepthScale;
 pub(crate) use exif::seconds_of_date;

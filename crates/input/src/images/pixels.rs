@@ -13,6 +13,7 @@ use tiepoint_store::AtomicFile;
 
 use super::exif::Exif;
 use super::jpeg::{self, Planes};
+use super::tiff_pages;
 
 /// Default limit: images of more than 256 million pixels are refused. A file of a few kilobytes can
 /// claim any size, and decoding takes some ten bytes a pixel. The limit is above the largest
@@ -473,9 +474,27 @@ pub(crate) fn header_turned(
 ) -> Result<(Exif, u32, u32)> {
     // Checked before the EXIF data, because those of a TIFF file may be anywhere in the file.
     let stored = stored_size(path)?;
+    refuse_preview(path, stored)?;
     let exif = Exif::read(path)?;
     let (width, height) = turned_size(path, turn.orientation(&exif), stored, limit)?;
     Ok((exif, width, height))
+}
+
+/// Refuses a TIFF file whose first page, the one that is read, is smaller than another one.
+fn refuse_preview(path: &Path, (width, height): (u32, u32)) -> Result<()> {
+    let area = |size: [u32; 2]| u64::from(size[0]) * u64::from(size[1]);
+    let pages = tiff_pages::sizes(path);
+    match (1..).zip(&pages).max_by_key(|(_, size)| area(**size)) {
+        Some((page, size)) if area(*size) > area([width, height]) => {
+            let [larger_width, larger_height] = *size;
+            let what = format!(
+                "its first page has {width} × {height} pixels, as a preview, and page {page} has \
+                 {larger_width} × {larger_height}: save that page alone"
+            );
+            Err(Error::content(path, what))
+        }
+        _ => Ok(()),
+    }
 }
 
 /// Whether a file begins as a JPEG file does.

@@ -3,7 +3,7 @@
 use super::{Luma, Rgb};
 
 impl Rgb {
-    /// The image at 1/`factor` of its size, rounded; a pixel is the mean of the area that it
+    /// The image at 1/`factor` of its size, rounded down; a pixel is the mean of the area that it
     /// covers. `factor` is at least 1.
     #[must_use]
     pub fn reduced(&self, factor: u32) -> Self {
@@ -38,11 +38,11 @@ impl Luma {
     }
 }
 
-/// Rounds half up, as ImageMagick does.
+/// Rounds down, as nerfstudio expects of `images_2` by default (`downscale_rounding_mode`). gsplat
+/// and 3DGS take the size of the files.
 fn reduced_size(size: u32, factor: u32) -> u32 {
-    let factor = u64::from(factor.max(1));
     // Not above `size`, unless that is 0.
-    (((u64::from(size) + factor / 2) / factor) as u32).max(1)
+    (size / factor.max(1)).max(1)
 }
 
 /// The pixels that an output pixel covers along an axis, with their shares of it.
@@ -94,12 +94,11 @@ mod tests {
         let half = Luma { width: 2, height: 1, data: vec![25, 45] };
         assert_eq!(image.reduced(2), half);
         assert_eq!(image.reduced(1), image);
-        // Five columns become three of 5/3 columns each.
+        // Five columns become two of 5/2 columns each.
         let odd = Luma { width: 5, height: 1, data: vec![0, 50, 100, 150, 200] };
-        let mean = |shares: [f64; 3]| (shares.iter().sum::<f64>() * 3.0 / 5.0).round() as u8;
-        let expected =
-            vec![mean([0.0, 2.0 / 3.0 * 50.0, 0.0]), 100, mean([2.0 / 3.0 * 150.0, 200.0, 0.0])];
-        assert_eq!(odd.reduced(2), Luma { width: 3, height: 1, data: expected });
+        let mean = |shares: [f64; 3]| (shares.iter().sum::<f64>() * 2.0 / 5.0).round() as u8;
+        let expected = vec![mean([0.0, 50.0, 0.5 * 100.0]), mean([0.5 * 100.0, 150.0, 200.0])];
+        assert_eq!(odd.reduced(2), Luma { width: 2, height: 1, data: expected });
         let rgb = Rgb { width: 2, height: 1, data: vec![0, 100, 200, 10, 100, 100] };
         let pixel = Rgb { width: 1, height: 1, data: vec![5, 100, 150] };
         assert_eq!(rgb.reduced(4), pixel);

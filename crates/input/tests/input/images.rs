@@ -581,6 +581,11 @@ fn masks_are_found_by_name_and_have_the_size_of_the_image() {
     assert_eq!(source.mask(2).unwrap(), None);
     let error = source.mask(3).unwrap_err().to_string();
     assert!(error.contains("the mask has 2 × 2 pixels, its image l/4.png has 24 × 16"), "{error}");
+    // As rembg, Metashape and trainers of splats name them.
+    let masks = folder(&[("l/1.mask.png", png.clone()), ("l/2_mask.png", png.clone())]);
+    let source = ImageFolder::open(&[images.path().to_owned()], Some(masks.path())).unwrap();
+    assert!(source.mask(0).unwrap().is_some() && source.mask(1).unwrap().is_some());
+    assert_eq!(source.mask(2).unwrap(), None);
     let none = tempfile::tempdir().unwrap();
     let error =
         ImageFolder::open(&[images.path().to_owned()], Some(none.path())).unwrap_err().to_string();

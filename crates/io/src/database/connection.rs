@@ -66,8 +66,7 @@ impl Database {
     /// Gives a database of COLMAP of 2017 the tables of today, as COLMAP does when it opens one:
     /// two-view geometries were inlier matches without matrices.
     pub(super) fn upgrade(&self) -> Result<()> {
-        let checked = schema::check(&self.connection).map_err(error(&self.path))?;
-        checked.map_err(|what| self.content(what))?;
+        self.check_kinds()?;
         let (geometries, inliers) = ("two_view_geometries", "inlier_matches");
         let mut changes = Vec::new();
         let mut known = self.columns(geometries)?;
@@ -85,15 +84,20 @@ impl Database {
     }
 
     /// Checks that the tables are ordinary ones. Done first: a view could yield rows without end.
-    pub(super) fn check_tables(&self) -> Result<()> {
+    pub(super) fn check_kinds(&self) -> Result<()> {
         let checked = schema::check(&self.connection).map_err(error(&self.path))?;
-        checked.map_err(|what| self.content(what))?;
+        checked.map_err(|what| self.content(what))
+    }
+
+    /// [`Self::check_kinds`], and checks that no table is missing.
+    pub(super) fn check_tables(&self) -> Result<()> {
+        self.check_kinds()?;
         for table in schema::REQUIRED {
             if self.columns(table)?.is_empty() {
                 if !self.columns("inlier_matches")?.is_empty() {
                     return Err(self.content(
                         "is a database of COLMAP of 2017, which has to be upgraded: open it with a \
-                        newer COLMAP once"
+                        newer COLMAP once, or give it with `features.database`, which copies it"
                             .to_owned(),
                     ));
                 }

@@ -1,11 +1,14 @@
 //! Matches and two-view geometries.
 
+use std::path::Path;
+
 use rusqlite::{Row, params};
 use tiepoint_geometry::Rigid3;
 use tiepoint_geometry::nalgebra::{Matrix3, Vector3};
 use tiepoint_scene::{ImagePair, Match, TwoView, TwoViewKind};
 
 use super::connection::{Database, MAX_IMAGE_ID, bytes, error, numbers};
+use super::read_only::read_connection;
 use super::stages::StageRow;
 use crate::binary::pose_numbers;
 use crate::{Result, rotation};
@@ -179,15 +182,24 @@ impl Database {
         numbers.into_iter().map(|number| self.pair(number)).collect()
     }
 
-    /// Whether any pair has matches or a two-view geometry. Rows are not checked.
+    /// Whether any pair of a database of COLMAP of any version has matches or a two-view geometry.
+    /// Rows are not checked, and the file is not changed.
     ///
     /// # Errors
     ///
-    /// If the file cannot be read.
-    pub fn has_pairs(&self) -> Result<bool> {
-        let sql = "SELECT EXISTS (SELECT 1 FROM matches WHERE rows > 0) \
-                   OR EXISTS (SELECT 1 FROM two_view_geometries WHERE rows > 0)";
-        Ok(self.rows(sql, |row| row.get(0))?.into_iter().any(|found: bool| found))
+    /// If the file cannot be read, or its tables are not ordinary ones.
+    pub fn has_pairs(path: &Path) -> Result<bool> {
+        let database = Self::with(read_connection(path)?, path)?;
+        database.check_kinds()?;
+        // COLMAP of 2017 has the last in place of the second.
+        for table in ["matches", "two_view_geometries", "inlier_matches"] {
+            let sql = format!("SELECT EXISTS (SELECT 1 FROM {table} WHERE rows > 0)");
+            let is_there = !database.columns(table)?.is_empty();
+            if is_there && database.rows(&sql, |row| row.get(0))?.into_iter().any(|found| found) {
+                return Ok(true);
+            }
+        }
+        Ok(false)
     }
 
     /// The number of matches of each pair, sorted by pair, without reading the matches.
@@ -326,7 +338,10 @@ impl Database {
         }
         let kind = usize::try_from(config).ok().and_then(|index| KINDS.get(index)).copied();
         kind.ok_or_else(|| {
-            self.content(format!("two-view geometry of pair {pair}: its configuration is unknown"))
+            self.content(format!(
+                "two-view geometry of pair {pair}: its configuration {config} is none of COLMAP's, \
+                0 to {CALIBRATED_RIG}: match and verify again with the program that wrote it"
+            ))
         })
     }
 

@@ -14,7 +14,7 @@ use tiepoint_sfm::ba::{
 use tiepoint_sfm::geometry::cameras::Radial;
 use tiepoint_sfm::geometry::nalgebra::{Quaternion, SVector, UnitQuaternion, Vector2, Vector3};
 use tiepoint_sfm::geometry::{Loss, Rigid3, so3};
-use tiepoint_store::write_file;
+use tiepoint_store::{Replace, write_file};
 
 use crate::workspace::located_model::LocatedModel;
 use crate::{Error, Event, Watch, emit};
@@ -59,7 +59,7 @@ const MAX_ITERATIONS: usize = 100;
 /// Adjusts a model (a folder with a COLMAP model, a workspace, or a BAL file) and writes the result
 /// to `output` in the format of the input. Calibrated intrinsics have a prior at the calibration,
 /// or are constant where mapping kept them. With `fix_intrinsics` all are constant. Images of a rig
-/// frame keep their sensor_from_rig in common.
+/// frame keep their sensor_from_rig in common. `overwrite` permits to replace a file at `output`.
 ///
 /// # Errors
 ///
@@ -67,12 +67,14 @@ const MAX_ITERATIONS: usize = 100;
 pub fn adjust(
     path: &Path,
     output: Option<&Path>,
+    overwrite: bool,
     fix_intrinsics: bool,
     watch: Watch,
 ) -> Result<AdjustReport, Error> {
     if path.is_dir() {
         adjust_colmap(&LocatedModel::open(path)?, output, fix_intrinsics, watch)
     } else {
+        let output = output.map(|output| (output, Replace::new(None, overwrite)));
         adjust_bal(path, output, fix_intrinsics, watch)
     }
 }
@@ -106,7 +108,7 @@ fn adjust_colmap(
 /// BAL camera looks along −z; a rotation by π about x converts it.
 fn adjust_bal(
     path: &Path,
-    output: Option<&Path>,
+    output: Option<(&Path, Replace)>,
     fix_intrinsics: bool,
     watch: Watch,
 ) -> Result<AdjustReport, Error> {
@@ -150,7 +152,7 @@ fn adjust_bal(
         .and_then(|mut solver| solver.solve_with(&mut problem, &mut watch))
         .map_err(Error::adjusting(path))?;
     let report = AdjustReport::new(&summary, start, cameras.len(), points.len())?;
-    if let Some(output) = output {
+    if let Some((output, replace)) = output {
         for (camera, (params, pose)) in bal.cameras.iter_mut().zip(&cameras) {
             let (params, pose) = (problem.get(*params), problem.get(*pose));
             *camera = BalCamera {
@@ -162,7 +164,7 @@ fn adjust_bal(
             };
         }
         bal.points = points.iter().map(|point| problem.get(*point)).collect();
-        write_file(output, [path], None, |output| Ok::<_, Error>(bal.write(output)?))?;
+        write_file(output, [path], replace, |output| Ok::<_, Error>(bal.write(output)?))?;
     }
     Ok(report)
 }

@@ -18,7 +18,7 @@ use tiepoint_sfm::frame_names::natural_order;
 use tiepoint_sfm::geometry::Rigid3;
 use tiepoint_sfm::scene::{Image, ImageId, Reconstruction};
 use tiepoint_store::disk::{self, FileId};
-use tiepoint_store::{AtomicFile, Error as StoreError, OutputFolder, write_file};
+use tiepoint_store::{AtomicFile, Error as StoreError, OutputFolder, Replace, write_file};
 
 use crate::Error;
 use crate::models::rigid::{RigidReport, rigid_model};
@@ -124,6 +124,8 @@ pub struct ExportSource<'a> {
     /// The folder that the names of the model's images begin in; `None`: the photos are the inputs
     /// of the workspace that the model is in.
     pub images: Option<&'a Path>,
+    /// Replaces a file at the place of the result, whoever made it. Files in folders stay.
+    pub overwrite: bool,
 }
 
 /// Writes a model to `to` in another format.
@@ -184,7 +186,8 @@ fn write_as(
     let (mut poses, mut points, mut in_place) = (model.num_registered(), model.num_tracks(), 0);
     let inputs = located.files();
     let file = |mark, write: &dyn Fn(&Path) -> Result<(), Error>| {
-        write_file(to, inputs.iter().map(PathBuf::as_path), mark, write)
+        let replace = Replace::new(mark, from.overwrite);
+        write_file(to, inputs.iter().map(PathBuf::as_path), replace, write)
     };
     match format {
         ExportFormat::Colmap => located.write_as(to, Format::Binary, &inputs)?,
@@ -217,7 +220,7 @@ fn write_as(
         }
         ExportFormat::Las => {
             let cloud = dense.ok_or_else(|| Error::NoDenseCloud { path: folder() })?;
-            write_file(to, [cloud], Some(LAS_MARK), |to| {
+            write_file(to, [cloud], Replace::new(Some(LAS_MARK), from.overwrite), |to| {
                 points = write_las(cloud, to)?;
                 Ok::<_, Error>(())
             })?;
@@ -228,7 +231,7 @@ fn write_as(
             let mut clouds = vec![("points", sparse.as_slice())];
             clouds.extend(dense_points.iter().map(|points| ("dense", points.as_slice())));
             let inputs = inputs.iter().map(PathBuf::as_path).chain(dense);
-            write_file(to, inputs, Some(GLTF_MARK), |to| {
+            write_file(to, inputs, Replace::new(Some(GLTF_MARK), from.overwrite), |to| {
                 points = gltf::write(to, model, &clouds)?;
                 Ok::<_, Error>(())
             })?;

@@ -10,7 +10,7 @@ use tiepoint_sfm::geometry::nalgebra::Vector3;
 use tiepoint_sfm::geometry::{RansacOptions, Sim3, estimate};
 use tiepoint_sfm::model_tools::{BoundingBox, align_models, crop, merge_model};
 use tiepoint_sfm::scene::Reconstruction;
-use tiepoint_store::write_file;
+use tiepoint_store::{Replace, write_file};
 
 use crate::Error;
 use crate::workspace::located_model::LocatedModel;
@@ -114,7 +114,7 @@ pub struct AlignmentInfo {
     /// Number of those that fit.
     pub inliers: usize,
     /// Mean distance of the camera centres of common images from their places after the alignment,
-    /// in units of the new frame.
+    /// in units of the new frame; of positions, those that fit.
     pub mean_distance: f64,
 }
 
@@ -237,7 +237,7 @@ pub fn transform_model(
 }
 
 /// Aligns a model to another one or to positions, and writes it to `to`, and the transform to
-/// `transform_to`.
+/// `transform_to`, where `overwrite` permits to replace a file.
 ///
 /// # Errors
 ///
@@ -248,6 +248,7 @@ pub fn align_model(
     align_to: AlignTo,
     to: &Path,
     transform_to: Option<&Path>,
+    overwrite: bool,
 ) -> Result<ModelChange, Error> {
     let mut inputs = located.files();
     let (new_from_old, alignment) = match align_to {
@@ -264,7 +265,8 @@ pub fn align_model(
     if let Some(file) = transform_to {
         // Both results are refused before either is written.
         refuse_foreign_model(to, &inputs)?;
-        write_file(file, inputs.iter().map(PathBuf::as_path), None, |file| {
+        let replace = Replace::new(None, overwrite);
+        write_file(file, inputs.iter().map(PathBuf::as_path), replace, |file| {
             Ok::<_, Error>(similarity::write(file, &new_from_old)?)
         })?;
         inputs.push(file.to_owned());
@@ -368,6 +370,7 @@ fn align_to_positions(
             ))
         })?;
     let distances = from.iter().zip(&to).map(|(from, to)| (report.model * *from - to).norm());
+    let distances = distances.filter(|distance| *distance <= max_error);
     let info = AlignmentInfo {
         common_images: from.len(),
         compared: from.len(),

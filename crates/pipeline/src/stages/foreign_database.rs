@@ -46,9 +46,7 @@ pub fn import_features(
     redo: Option<Stage>,
     watch: Watch,
 ) -> Result<(), Error> {
-    let source = Database::open_read_only(file)?;
-    let has_pairs = source.has_pairs()?;
-    drop(source);
+    let has_pairs = Database::has_pairs(file)?;
     let fingerprint = hash_files(&files_of(file))?;
     let recipe =
         Recipe::new(fingerprint.clone(), option_keys::database_options(&fingerprint, has_pairs));

@@ -1,6 +1,6 @@
 //! Why photos that look like those of cameras of one vehicle are no rig.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use tiepoint_input::sequences::prefix;
 use tiepoint_sfm::frame_names::pairs_by_name;
@@ -13,6 +13,8 @@ use crate::workspace::image_names::stream_of;
 const MIN_PHOTOS: usize = 3;
 /// Cameras of a vehicle take about as many photos each: the fewest have this share of the most.
 const MIN_SHARE: f64 = 0.5;
+/// Most cameras that ends of names tell: multispectral cameras have up to ten.
+const MAX_CAMERAS: usize = 10;
 
 /// A sentence on photos that look like those of cameras of one vehicle, of which no frame is known:
 /// why, and what to do. `None` if nothing looks like it, or if frames are known.
@@ -68,15 +70,41 @@ fn cameras_in_one_folder(photos: &[&str]) -> Option<String> {
         let common = pairs_by_name(first, other).len();
         common as f64 >= MIN_SHARE * first.len().min(other.len()) as f64
     });
-    if others.len() == 0 || !have_common_numbers || !are_alike(groups.values().map(Vec::len)) {
-        return None;
-    }
-    let shown: Vec<String> = groups.keys().map(|prefix| format!("{prefix}*")).collect();
+    let shown: Vec<String> =
+        if others.len() > 0 && have_common_numbers && are_alike(groups.values().map(Vec::len)) {
+            groups.keys().map(|prefix| format!("{prefix}*")).collect()
+        } else {
+            suffixes_of_cameras(photos)?.iter().map(|suffix| format!("*{suffix}")).collect()
+        };
     Some(format!(
         "no rig: the photos {} of one folder are taken as those of one camera; if they are cameras \
         of one vehicle, put the photos of each into a folder of its own",
         shown.join(" and ")
     ))
+}
+
+/// The ends of names that tell cameras, as `_1` and `_2` of `IMG_0007_1.tif` and `IMG_0007_2.tif`:
+/// few ends, each with about the same beginnings, which end in a digit.
+fn suffixes_of_cameras<'a>(photos: &[&'a str]) -> Option<Vec<&'a str>> {
+    let mut groups: BTreeMap<&str, BTreeSet<&str>> = BTreeMap::new();
+    for name in photos {
+        let stem = name.rsplit_once('.').map_or(*name, |(stem, _)| stem);
+        let at = stem.rfind(['_', '-', ' '])?;
+        let (instant, suffix) = stem.split_at(at);
+        if !instant.ends_with(|c: char| c.is_ascii_digit()) {
+            return None;
+        }
+        groups.entry(suffix).or_default().insert(instant);
+    }
+    let first = groups.values().next()?;
+    let is_common = |other: &BTreeSet<&str>| {
+        let common = first.intersection(other).count();
+        common as f64 >= MIN_SHARE * first.len().min(other.len()) as f64
+    };
+    let is_of_cameras = (2..=MAX_CAMERAS).contains(&groups.len())
+        && groups.values().all(is_common)
+        && are_alike(groups.values().map(BTreeSet::len));
+    is_of_cameras.then(|| groups.into_keys().collect())
 }
 
 fn are_alike(counts: impl Iterator<Item = usize>) -> bool {
@@ -154,6 +182,15 @@ mod tests {
         let found = reason(&[&flat]).unwrap();
         assert!(found.contains("cam0_* and cam1_*"), "{found}");
         assert!(found.contains("a folder of its own"), "{found}");
+        for ends in [["_1", "_2"], ["_left", "_right"]] {
+            let name = |k: usize| format!("IMG_{:04}{}.png", k / 2, ends[k % 2]);
+            let names: Vec<String> = (0..8).map(name).collect();
+            let found = reason(&[&names.iter().map(String::as_str).collect::<Vec<_>>()]).unwrap();
+            assert!(found.contains(&format!("*{} and *{}", ends[0], ends[1])), "{found}");
+        }
+        // Single photos, of which one number counts up to two and starts again.
+        let alone: Vec<String> = (0..8).map(|k| format!("{:04}_{}.png", k, k % 2)).collect();
+        assert_eq!(reason(&[&alone.iter().map(String::as_str).collect::<Vec<_>>()]), None);
         // Photos of two days, and one camera.
         let days: Vec<String> = (0..8).map(|k| format!("day{}_{:03}.png", k / 4, k)).collect();
         assert_eq!(reason(&[&days.iter().map(String::as_str).collect::<Vec<_>>()]), None);

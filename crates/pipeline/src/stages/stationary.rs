@@ -5,11 +5,12 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use rayon::prelude::*;
 use tiepoint_io::database::Database;
+use tiepoint_sfm::geometry::epipolar::epipoles;
 use tiepoint_sfm::scene::{
     Camera, CameraId, ImageId, ImagePair, Keypoint, Match, Reconstruction, TwoView, TwoViewKind,
 };
 use tiepoint_sfm::two_view::{
-    Candidates, ImageObservations, Stationary, StationarySearch, VerifyOptions,
+    Candidates, ImageObservations, MovedPairs, Stationary, StationarySearch, VerifyOptions,
 };
 
 use crate::Error;
@@ -150,13 +151,9 @@ impl Verification<'_> {
     }
 
     /// The pairs of candidates whose other matches have a geometry that moves.
-    fn moved(
-        &self,
-        database: &Database,
-        candidates: &Candidates,
-    ) -> Result<BTreeSet<ImagePair>, Error> {
+    fn moved(&self, database: &Database, candidates: &Candidates) -> Result<MovedPairs, Error> {
         let enough = self.options.min_num_inliers;
-        let mut moved = BTreeSet::new();
+        let mut moved = MovedPairs::new();
         for pairs in candidates.pairs().chunks(PAIRS_AT_ONCE) {
             let mut tasks = Vec::new();
             for &pair in pairs {
@@ -167,10 +164,11 @@ impl Verification<'_> {
                 }
             }
             let has_moved = |(pair, num_matches, moving): (ImagePair, usize, Vec<Match>)| {
-                let num_inliers = self.verify(pair, &moving).matches.len();
+                let view = self.verify(pair, &moving);
+                let num_inliers = view.matches.len();
                 let is_moved =
                     num_inliers >= enough && Candidates::is_moved(num_inliers, num_matches);
-                is_moved.then_some(pair)
+                is_moved.then(|| (pair, view.fundamental.as_ref().and_then(epipoles)))
             };
             moved.extend(tasks.into_par_iter().filter_map(has_moved).collect::<Vec<_>>());
         }

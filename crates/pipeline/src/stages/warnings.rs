@@ -37,6 +37,11 @@ const FOCAL_RANGE: [f64; 2] = [0.3, 12.0];
 const MIN_RIG_SCATTER: f64 = 0.1;
 /// An image with fewer observations is as uncertain as a pair that is not verified.
 const MIN_OBSERVATIONS: usize = 15;
+/// Largest error of rotations alone relative to that of the model, for a camera that only turned.
+/// Rendered pans with lenses that are not known have 0.5 to 1.1; strips along a wall have 4 to 8, a
+/// turn with steps of a hundredth of the depth 5, other models more. Half misses the pan of a
+/// fisheye; double changes nothing.
+const MAX_TURNING_RATIO: f64 = 2.0;
 /// Smallest share of observations behind a camera.
 const MIN_SHARE_BEHIND: f64 = 0.001;
 /// A model with fewer images is not another scene.
@@ -130,6 +135,7 @@ impl Place<'_> {
                 let side = f64::from(camera.width.max(camera.height));
                 let is_wide = camera.intrinsics.mean_focal_px() < FISHEYE_FOCAL * side;
                 let better = match is_wide && !kind.is_fisheye() {
+                    _ if camera.width == 2 * camera.height => "EQUIRECTANGULAR",
                     true => "OPENCV_FISHEYE",
                     false if kind.is_fisheye() => "THIN_PRISM_FISHEYE",
                     false => "OPENCV",
@@ -177,6 +183,17 @@ impl Place<'_> {
 
     fn images(&self) -> Vec<Warning> {
         let mut warnings = Vec::new();
+        if let Some(turning) = diagnostics::turning(self.model)
+            && turning.error_ratio < MAX_TURNING_RATIO
+        {
+            let diagnostics::Turning { error_ratio, focal_px, is_fisheye } = turning;
+            warnings.push(Warning::OneSpot {
+                model: self.path(),
+                error_ratio,
+                focal_px,
+                is_fisheye,
+            });
+        }
         let jumps = diagnostics::jumps(self.model);
         if !jumps.is_empty() {
             let images = jumps.iter().map(|jump| self.name(jump.image)).collect();
@@ -216,7 +233,7 @@ fn deviating(found: &[ImageScale]) -> Vec<&ImageScale> {
 
 #[cfg(test)]
 mod tests {
-    use tiepoint_sfm::geometry::nalgebra::{UnitQuaternion, Vector3};
+    use tiepoint_sfm::geometry::nalgebra::{UnitQuaternion, Vector2, Vector3};
     use tiepoint_sfm::geometry::{CameraModelKind, Intrinsics, Rigid3, Rng};
     use tiepoint_sfm::scene::{Camera, Image, Keypoint, Observation, Track};
 
@@ -238,6 +255,11 @@ mod tests {
     /// A camera that drives along x and looks to the side, an image a second, one unit apart; its
     /// points are 6 to 10 units away, and its observations are exact.
     fn drive(intrinsics: Intrinsics) -> Reconstruction {
+        images_at(intrinsics, |k| Rigid3::new(UnitQuaternion::identity(), -Vector3::x() * k as f64))
+    }
+
+    /// [`drive`] with other poses.
+    fn images_at(intrinsics: Intrinsics, pose: impl Fn(usize) -> Rigid3) -> Reconstruction {
         let mut model = Reconstruction::default();
         let camera = model.add_camera(Camera {
             intrinsics,
@@ -250,12 +272,10 @@ mod tests {
         let points: Vec<Vector3<f64>> = (0..NUM_POINTS)
             .map(|_| Vector3::new(between(-5.0, 12.0), between(-4.0, 4.0), between(6.0, 10.0)))
             .collect();
-        let poses: Vec<Rigid3> = (0..NUM_IMAGES)
-            .map(|k| Rigid3::new(UnitQuaternion::identity(), -Vector3::x() * k as f64))
-            .collect();
+        let poses: Vec<Rigid3> = (0..NUM_IMAGES).map(pose).collect();
         let mut observations = vec![Vec::new(); NUM_POINTS];
         for (k, pose) in poses.iter().enumerate() {
-            let is_inside = |pixel: &tiepoint_sfm::geometry::nalgebra::Vector2<f64>| {
+            let is_inside = |pixel: &Vector2<f64>| {
                 (0.0..f64::from(SIDE_PX)).contains(&pixel.x) && (0.0..480.0).contains(&pixel.y)
             };
             let mut keypoints = Vec::new();
@@ -277,6 +297,27 @@ mod tests {
             }
         }
         model
+    }
+
+    /// Keypoints that are a tenth of a pixel off to the right in every second image, so that
+    /// neither rotations nor the model fit exactly.
+    #[test]
+    fn camera_that_only_turned_is_named() {
+        for (step, is_named) in [(0.0, true), (0.05, false)] {
+            let mut model = images_at(radial(FOCAL_PX, -0.1), |k| {
+                let turn = UnitQuaternion::from_scaled_axis(Vector3::y() * (0.1 * k as f64));
+                Rigid3::new(turn, -(turn * Vector3::x() * (step * k as f64)))
+            });
+            for k in (0..NUM_IMAGES).step_by(2) {
+                let image = ImageId::from_index(k);
+                let keypoints = model.image(image).keypoints.iter();
+                let pixels: Vec<_> = keypoints.map(|k| k.pixel + 0.1 * Vector2::x()).collect();
+                model.move_keypoints(image, &pixels);
+            }
+            let found = warnings(&model, &model);
+            let text = found.iter().map(Warning::to_string).collect::<String>();
+            assert_eq!(text.contains("only turned on one spot"), is_named, "{step}: {text}");
+        }
     }
 
     fn warnings(initial: &Reconstruction, model: &Reconstruction) -> Vec<Warning> {
@@ -354,6 +395,25 @@ mod tests {
             // A focal length of 0.8 of the width may be that of a fisheye in another model.
             let text = found.iter().map(Warning::to_string).collect::<String>();
             assert_eq!(text.contains("OPENCV, or OPENCV_FISHEYE"), !is_silent, "{text}");
+        }
+    }
+
+    #[test]
+    fn images_twice_as_wide_as_high_may_be_panoramas() {
+        for (height, is_panorama) in [(SIDE_PX / 2, true), (SIDE_PX / 2 + 1, false)] {
+            let mut model = drive(radial(FOCAL_PX, 4e-3));
+            *model.camera_mut(CameraId(0)) = Camera {
+                intrinsics: radial(FOCAL_PX, 0.0),
+                width: SIDE_PX,
+                height,
+                has_focal_prior: false,
+            };
+            let text = warnings(&model, &model).iter().map(Warning::to_string).collect::<String>();
+            assert_eq!(
+                text.contains("EQUIRECTANGULAR if they are panoramas all around"),
+                is_panorama,
+                "{text}"
+            );
         }
     }
 

@@ -1,10 +1,12 @@
 //! Facts of a finished model that tell a wrong one: images that contradict their shared camera,
 //! residuals that the lens model leaves, places where a lens has no rays, images with few
-//! observations, points behind cameras, and poses that jump. And why images are in no model.
+//! observations, points behind cameras, poses that jump, and images that a camera gives which only
+//! turned. And why images are in no model.
 
 mod image_scale;
 mod jumps;
 mod lens;
+mod turning;
 mod unregistered;
 
 use tiepoint_scene::{ImageId, Reconstruction};
@@ -12,6 +14,7 @@ use tiepoint_scene::{ImageId, Reconstruction};
 pub use image_scale::{ImageScale, image_scales};
 pub use jumps::{Jump, jumps};
 pub use lens::{LensResiduals, lens_residuals};
+pub use turning::{Turning, turning};
 pub use unregistered::{UnregisteredImage, UnregisteredReason, nearest_pair, unregistered_images};
 
 /// The registered images with fewer observations of points than `min`, and their numbers.

@@ -1,11 +1,9 @@
 //! Matches on overlays: what is found, and where nothing must be.
 
-use std::collections::BTreeSet;
-
 use tiepoint_geometry::Rng;
 use tiepoint_geometry::nalgebra::Vector2;
 use tiepoint_scene::{ImageId, ImagePair, Keypoint, Match};
-use tiepoint_sfm::two_view::{Stationary, StationarySearch, VerifyOptions};
+use tiepoint_sfm::two_view::{MovedPairs, Stationary, StationarySearch, VerifyOptions};
 
 const SEED: u64 = 1;
 /// The image, in pixels.
@@ -87,6 +85,15 @@ impl Photos {
     /// Asserts that `check` holds of what is found. A pair's scene moves if enough of its matches
     /// do: here no match is wrong.
     fn find<T>(&self, check: impl FnOnce(&Stationary) -> T) -> T {
+        self.find_with(None, check)
+    }
+
+    /// [`Photos::find`] where all pairs have these epipoles.
+    fn find_with<T>(
+        &self,
+        epipoles: Option<[Vector2<f64>; 2]>,
+        check: impl FnOnce(&Stationary) -> T,
+    ) -> T {
         let keypoints: Vec<&[Keypoint]> = self.keypoints.iter().map(Vec::as_slice).collect();
         let groups = vec![0; keypoints.len()];
         let mut search = StationarySearch::new(&keypoints, &groups);
@@ -98,7 +105,8 @@ impl Photos {
         let enough = VerifyOptions::default().min_num_inliers;
         let moves =
             |pair: &ImagePair| candidates.moving(*pair, &self.matches(*pair)).len() >= enough;
-        let moved: BTreeSet<ImagePair> = candidates.pairs().into_iter().filter(moves).collect();
+        let pairs = candidates.pairs().into_iter().filter(moves);
+        let moved: MovedPairs = pairs.map(|pair| (pair, epipoles)).collect();
         check(&candidates.select(&moved))
     }
 
@@ -120,6 +128,23 @@ impl Photos {
 /// Places of images at equal steps.
 fn drive(images: usize) -> Vec<f64> {
     (0..images).map(|image| image as f64).collect()
+}
+
+/// What a camera drives to stands still at the epipoles, whatever its depth. The limit is an eighth
+/// of the larger side of the keypoints' extent, 80 px, from each spot; the logo is 80 px wide.
+#[test]
+fn what_stands_still_at_the_epipoles_is_no_overlay() {
+    let photos = Photos::new(&drive(12), SPOTS, NOISE_PX, |_| true);
+    let [left, top, width, height] = LOGO_PX;
+    let centre = Vector2::new(left + 0.5 * width, top + 0.5 * height);
+    for (aside, is_found) in [(0.0, false), (30.0, false), (125.0, true)] {
+        let epipole = centre - Vector2::new(aside, 0.0);
+        let found = photos.find_with(Some([epipole; 2]), |found| !found.is_empty());
+        assert_eq!(found, is_found, "{aside}");
+    }
+    // Where one image alone is driven to, the overlay does not stand at the other's epipole.
+    let far = centre - Vector2::new(300.0, 0.0);
+    assert!(photos.find_with(Some([centre, far]), |found| !found.is_empty()));
 }
 
 #[test]

@@ -81,7 +81,7 @@ pub(super) fn model_aligner(options: &Options, output: &Output) -> Result<(), Fa
         }
     };
     let transform_to = options.path("transform_path");
-    let aligned = align(&from, target, &to, transform_to.as_deref())?;
+    let aligned = align(&from, target, &to, transform_to.as_deref(), options.flag("overwrite"))?;
     output.result(&aligned, || {
         let distance = aligned.mean_distance.map_or_else(String::new, |distance| {
             format!(", mean distance of the centres {distance:.6}")
@@ -116,7 +116,7 @@ pub(super) fn model_converter(options: &Options, output: &Output) -> Result<(), 
     match options.text("output_type").to_ascii_uppercase().as_str() {
         "BIN" => write_as(&from, &to, Format::Binary)?,
         "TXT" => write_as(&from, &to, Format::Text)?,
-        "PLY" => convert_to_ply(&from, &to)?,
+        "PLY" => convert_to_ply(&from, &to, options.flag("overwrite"))?,
         "" => return Err(Failure::Usage("model_converter needs --output_type".to_owned())),
         other => {
             return Err(Failure::Usage(format!(

@@ -280,9 +280,12 @@ pub(super) const UNDISTORTER: &[Spec] = &[
     int("num_threads", "-1", Speed),
 ];
 
+/// Replaces a named file, whoever made it. COLMAP has no such option, and replaces any file.
+const OVERWRITE: Spec = bool("overwrite", "0", Used);
+
 /// Options of `model_converter`.
 pub(super) const CONVERTER: &[Spec] =
-    &[text("output_type", "", Used), bool("skip_distortion", "0", Tuning)];
+    &[text("output_type", "", Used), bool("skip_distortion", "0", Tuning), OVERWRITE];
 
 /// Options of `model_aligner`.
 pub(super) const ALIGNER: &[Spec] = &[
@@ -291,6 +294,7 @@ pub(super) const ALIGNER: &[Spec] = &[
     path("ref_model_path", "", Fixed),
     bool("merge_image_and_ref_origins", "0", Fixed),
     path("transform_path", "", Used),
+    OVERWRITE,
     text("alignment_type", "custom", Used),
     int("min_common_images", "3", Used),
     real("min_inlier_observations", "0.3", Tuning),

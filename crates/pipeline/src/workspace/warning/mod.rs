@@ -99,6 +99,17 @@ pub enum Warning {
         /// The images and the number of their observations.
         images: Vec<(String, usize)>,
     },
+    /// The images agree with a camera that only turned.
+    OneSpot {
+        /// Folder of the model.
+        model: String,
+        /// Median error of rotations, relative to that of the model.
+        error_ratio: f64,
+        /// The focal length of that camera, in pixels.
+        focal_px: f64,
+        /// Whether its lens is a fisheye.
+        is_fisheye: bool,
+    },
     /// Points behind the cameras that observe them.
     PointsBehind {
         /// Folder of the model.

@@ -44,13 +44,8 @@ impl fmt::Display for Warning {
                 f,
                 "{camera_model} leaves residuals of {residual_px:.2} px that depend on the \
                 distance from the centre of camera {camera} of {model}: try \
-                `features.camera_model` {better}{}",
-                // A fisheye as a perspective camera may have any focal length.
-                if better == "OPENCV" {
-                    ", or OPENCV_FISHEYE if the lens is a fisheye"
-                } else {
-                    ""
-                }
+                `features.camera_model` {}",
+                alternatives(better)
             ),
             Self::ImagesOfOtherFocalLength { model, camera, images } => write!(
                 f,
@@ -62,7 +57,8 @@ impl fmt::Display for Warning {
             Self::RigScatter { model, cameras: [one, other], relative } => write!(
                 f,
                 "the relative poses of {one} and {other} in {model} scatter by {:.0} % of the \
-                baseline: they are not on one rig, their times are wrong, or the model is",
+                baseline: they are not on one rig, their times are wrong, frames were dropped so \
+                that numbers do not agree, or the model is wrong",
                 100.0 * relative
             ),
             Self::Jumps { model, images } => write!(
@@ -80,6 +76,13 @@ impl fmt::Display for Warning {
                     listed(&names)
                 )
             }
+            Self::OneSpot { model, focal_px, is_fisheye, .. } => write!(
+                f,
+                "the images of {model} agree with a {} of {focal_px:.0} px that only turned on one \
+                spot, so that its positions and depths are likely wrong: take photos from \
+                different places, a tenth of the distance to the scene apart",
+                if *is_fisheye { "fisheye" } else { "lens" }
+            ),
             Self::PointsBehind { model, observations } => write!(
                 f,
                 "{observations} observations of {model} are of points behind their cameras: the \
@@ -87,6 +90,17 @@ impl fmt::Display for Warning {
             ),
         }
     }
+}
+
+/// A camera model that may fit better, and those to try if it does not.
+fn alternatives(better: &str) -> String {
+    let others = match better {
+        // A fisheye as a perspective camera may have any focal length.
+        "OPENCV" => ", or OPENCV_FISHEYE if the lens is a fisheye",
+        "EQUIRECTANGULAR" => " if they are panoramas all around, else OPENCV or OPENCV_FISHEYE",
+        _ => "",
+    };
+    format!("{better}{others}")
 }
 
 fn several_models(images: &[usize], gaps: &[ModelGap]) -> String {

@@ -35,6 +35,13 @@ const MANY_IMAGES: usize = 8;
 /// at most.
 const REACH_SCALES: f64 = 2.0;
 
+/// Largest distance of a spot from the epipoles of its pairs, relative to the larger side: where a
+/// camera moves to, nothing moves.
+const MAX_EPIPOLE_DISTANCE: f64 = 0.125;
+
+/// Pairs whose scene moves, and their epipoles in the first and second image, in pixels.
+pub type MovedPairs = BTreeMap<ImagePair, Option<[Vector2<f64>; 2]>>;
+
 /// Spots that stand exactly still in all of their images.
 #[derive(Debug)]
 pub struct Candidates<'a> {
@@ -81,14 +88,14 @@ impl Candidates<'_> {
     }
 
     /// The keypoints on overlays. `moved`: the pairs of [`Candidates::pairs`] whose scene moves.
-    pub fn select(&self, moved: &BTreeSet<ImagePair>) -> Stationary<'_> {
+    pub fn select(&self, moved: &MovedPairs) -> Stationary<'_> {
         let shares = self.shares_without_motion();
         let mut chosen: BTreeMap<usize, Vec<&Spot>> = BTreeMap::new();
         for (spot, share) in self.spots.iter().zip(shares) {
             let group = self.groups[spot.images[0] as usize];
             let is_overlay =
                 !spot.moves && share >= MIN_SHARE_OF_NEIGHBOURS && has_moved(spot, moved);
-            if is_overlay {
+            if is_overlay && !is_at_epipoles(spot, moved, self.extent_px(group)) {
                 chosen.entry(group).or_default().push(spot);
             }
         }
@@ -126,7 +133,7 @@ impl Candidates<'_> {
         &'b self,
         group: usize,
         mut spots: Vec<&'b Spot>,
-        moved: &BTreeSet<ImagePair>,
+        moved: &MovedPairs,
     ) -> Vec<&'b Spot> {
         let side = self.extent_px(group) / CELLS;
         let num_images = images_of(&spots).len();
@@ -237,12 +244,29 @@ impl Candidates<'_> {
 }
 
 /// Whether the scene moves in enough of a spot's images.
-fn has_moved(spot: &Spot, moved: &BTreeSet<ImagePair>) -> bool {
+fn has_moved(spot: &Spot, moved: &MovedPairs) -> bool {
     let images = &spot.images;
     let moves = |image: &&u32| {
         let pair = |other: &u32| ImagePair::new(ImageId(**image), ImageId(*other));
-        images.iter().filter_map(pair).any(|pair| moved.contains(&pair))
+        images.iter().filter_map(pair).any(|pair| moved.contains_key(&pair))
     };
     let count = images.iter().filter(moves).count();
     count as f64 >= MIN_SHARE_MOVED * images.len() as f64
+}
+
+/// Whether a spot is near both epipoles in half of the pairs of its images whose scene moves.
+fn is_at_epipoles(spot: &Spot, moved: &MovedPairs, extent_px: f64) -> bool {
+    let (mut near, mut all) = (0, 0);
+    for (k, &a) in spot.images.iter().enumerate() {
+        for &b in &spot.images[k + 1..] {
+            let pair = ImagePair::new(ImageId(a), ImageId(b));
+            let Some(epipoles) = pair.and_then(|pair| *moved.get(&pair)?) else { continue };
+            let is_near = |epipole: &Vector2<f64>| {
+                (spot.pixel - epipole).norm() < MAX_EPIPOLE_DISTANCE * extent_px
+            };
+            all += 1;
+            near += usize::from(epipoles.iter().all(is_near));
+        }
+    }
+    near > 0 && 2 * near >= all
 }

@@ -6,7 +6,8 @@
 //! *component*: one spot of the image. A spot of an overlay stays exactly where it is, in all pairs
 //! of its images; it matches nothing elsewhere; and the rest of these images moves. A distant point
 //! drifts with the rotations of the camera. A point of the scene that stands still while a vehicle
-//! stops has moved before or moves after it, it or those around it.
+//! stops has moved before or moves after it, it or those around it. What a camera drives to
+//! stands still in the image, too: at the epipoles.
 
 mod candidates;
 mod cells;
@@ -15,6 +16,6 @@ mod overlay;
 mod search;
 mod spot;
 
-pub use candidates::Candidates;
+pub use candidates::{Candidates, MovedPairs};
 pub use overlay::{Overlay, Stationary};
 pub use search::StationarySearch;
