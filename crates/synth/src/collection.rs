@@ -24,7 +24,7 @@ const PAVEMENT_M: f64 = 7.0;
 /// Height of the flight above the ground, in metres.
 const FLIGHT_M: f64 = 50.0;
 /// Distance from a house to the photos around it, in metres.
-const AROUND_HOUSE_M: f64 = 16.5;
+const AROUND_HOUSE_M: f64 = 17.5;
 const JPEG_QUALITY: u8 = 90;
 
 /// What a collection shows.
@@ -345,7 +345,7 @@ fn around_twins(count: usize, walk: usize, rng: &mut Rng) -> Vec<Sight> {
         if index < count - walk {
             let (twin, step) = (index / each, (index % each) as f64 + in_range(rng, -0.3, 0.3));
             let eye = middles[twin]
-                + direction(TAU * step / each as f64, 0.0) * in_range(rng, 15.5, AROUND_HOUSE_M);
+                + direction(TAU * step / each as f64, 0.0) * in_range(rng, 16.5, AROUND_HOUSE_M);
             let eye = Vector3::new(eye.x, eye.y, in_range(rng, 1.5, 1.9));
             return (eye, middles[twin] + jitter(rng, 1.0), Some(twin));
         }

@@ -26,6 +26,15 @@ fn colored(world: &mut Builder, material: Material, rng: &mut Rng) -> u32 {
     world.surface(Surface::new(material, color, seed(rng)))
 }
 
+/// Gives each quad from `first` on a texture of its own: the sides of real things differ.
+fn tell_apart(world: &mut Builder, first: usize) {
+    for k in first..world.quads.len() {
+        let surface = world.surfaces[world.quads[k].surface as usize];
+        let seed = surface.seed ^ ((k as u32) << 8);
+        world.quads[k].surface = world.surface(Surface { seed, ..surface });
+    }
+}
+
 /// A box of `size` (width, depth, height in metres) with the middle of its bottom at `place`,
 /// turned by `yaw_rad`.
 fn add_box(world: &mut Builder, place: Vector3<f64>, yaw_rad: f64, size: [f64; 3], rng: &mut Rng) {
@@ -34,7 +43,9 @@ fn add_box(world: &mut Builder, place: Vector3<f64>, yaw_rad: f64, size: [f64; 3
     let corner = place - right * (0.5 * size[0]) + out * (0.5 * size[1]);
     let kind = CLADDINGS[rng.below(CLADDINGS.len())];
     let (front, sides) = (colored(world, Material::Sign, rng), colored(world, kind, rng));
+    let first = world.quads.len();
     world.block(&Block { corner, right, out, size }, Cladding { front, sides, top: sides });
+    tell_apart(world, first);
 }
 
 /// A horizontal square around the vertical axis.
@@ -115,15 +126,18 @@ pub(super) fn twins(rng: &mut Rng) -> Builder {
         out: -Vector3::y(),
         size: [width, depth, 0.0],
     };
+    let mut twin = Builder::default();
+    house(&mut twin, &lot(0.0, 0.0, TWIN_M), style);
+    tell_apart(&mut twin, 0);
     for [x, y] in TWINS_M {
-        house(&mut world, &lot(x, y, TWIN_M), style);
+        world.place(&twin, 0.0, Vector3::new(x, y, 0.0));
         for part in 0..14 {
             let yaw = (f64::from(part) + in_range(rng, 0.1, 0.9)) / 14.0 * TAU;
             let at =
                 |radius: f64| Vector3::new(x + radius * yaw.cos(), y + radius * yaw.sin(), 0.0);
             let (near, far) = (at(in_range(rng, 9.0, 11.0)), at(in_range(rng, 24.0, 32.0)));
             let turn = in_range(rng, 0.0, TAU);
-            match rng.below(4) {
+            match rng.below(3) {
                 0 => world.place(&car(rng), turn, near),
                 1 => world.place(&hedge(in_range(rng, 1.0, 3.0), rng), turn, near),
                 _ => {}
