@@ -20,7 +20,7 @@ use tiepoint_pipeline::sfm::geometry::{CameraModelKind, Intrinsics};
 use tiepoint_pipeline::sfm::matching::PairSelection;
 use tiepoint_pipeline::sfm::rolling_shutter::Readout;
 use tiepoint_synth::trajectory::Carrier;
-use tiepoint_synth::{Effects, RouteKind, ViewDirection};
+use tiepoint_synth::{CollectionKind, Effects, RouteKind, ViewDirection};
 
 pub(crate) use values::{CropBox, ImageSize, Metres, PositivePixels, Quantiles, Refine, threads};
 use values::{NumberList, one_of, positive, readout, refine, rig_mode};
@@ -75,7 +75,8 @@ pub(crate) enum Command {
     /// Writes report.html into a workspace: point cloud, cameras and plots in one file that a
     /// browser shows offline.
     View(View),
-    /// Renders a synthetic street as seen by two cameras on a vehicle, and writes the ground truth.
+    /// Renders a synthetic street as seen by two cameras on a vehicle, or a collection of photos in
+    /// no order, and writes the ground truth.
     Synth(Synth),
     /// Needs no data: renders an open street and a loop as seen by two cameras, reconstructs each
     /// with --rig off, paper and auto, and compares the models with the ground truth.
@@ -713,10 +714,26 @@ pub(crate) struct View {
 
 #[derive(Debug, Args)]
 pub(crate) struct Synth {
-    /// Output folder: gets left/, right/, timestamps.csv and truth/. It must be new, empty, or from
-    /// the same command.
+    /// Output folder: gets left/, right/, timestamps.csv and truth/, of a collection photos/ and
+    /// truth/. It must be new, empty, or from the same command.
     #[arg(short, long = "output", value_name = "DIR")]
     pub(crate) output: PathBuf,
+    /// Renders no drive but photos of three cameras in no order: of an object on a table, of a room
+    /// from inside, of streets from a drone, of the facades of a street, of two identical houses
+    /// (twins; twins-apart has no photos between them).
+    #[arg(
+        long,
+        value_name = "KIND",
+        value_parser = one_of(&CollectionKind::ALL, CollectionKind::name),
+        conflicts_with_all = [
+            "frames", "size", "rate", "route", "carrier", "length", "view_direction", "effects",
+            "scan", "depths"
+        ]
+    )]
+    pub(crate) collection: Option<CollectionKind>,
+    /// Number of photos of the collection.
+    #[arg(long, value_name = "N", default_value_t = 80, requires = "collection")]
+    pub(crate) photos: usize,
     /// Renders only the first N images of each camera; by default the whole drive.
     #[arg(long, value_name = "N")]
     pub(crate) frames: Option<NonZeroUsize>,

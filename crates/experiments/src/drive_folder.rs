@@ -26,12 +26,12 @@ pub const BASELINE_M: f64 = 0.5;
 /// Every tenth revolution of the scanner, one per second, covers the street.
 const SCAN_EVERY_TURNS: usize = 10;
 /// Images in memory per thread; each takes some 25 bytes per pixel.
-const IMAGES_PER_THREAD: usize = 3;
+pub(crate) const IMAGES_PER_THREAD: usize = 3;
 /// The whole street is laid out before rendering; at this length it has hundreds of thousands of
 /// houses.
 const MAX_LENGTH_M: f64 = 100_000.0;
-/// File with the options of the drive in a folder.
-const RECORD: &str = "synth.json";
+/// File with the options of the drive or the collection in a folder.
+pub(crate) const RECORD: &str = "synth.json";
 /// Colour of the points of the scanner, which sees none.
 const GREY: [u8; 3] = [128; 3];
 
@@ -61,6 +61,14 @@ pub struct RenderedCamera {
     pub height: u32,
     /// Paraxial focal length, in pixels.
     pub focal_px: f64,
+}
+
+impl RenderedCamera {
+    /// A line of text.
+    pub(crate) fn describe(&self) -> String {
+        let Self { name, images, width, height, focal_px } = self;
+        format!("{name:<9} {images} images, {width} x {height}, focal length {focal_px:.2} px\n")
+    }
 }
 
 /// Content of [`RECORD`]. Equal records give equal files.
@@ -262,13 +270,7 @@ impl Rendered {
 
     /// The drive in a few lines of text.
     pub fn describe(&self) -> String {
-        let line = |camera: &RenderedCamera| {
-            let RenderedCamera { name, images, width, height, focal_px } = camera;
-            format!(
-                "{name:<9} {images} images, {width} x {height}, focal length {focal_px:.2} px\n"
-            )
-        };
-        let cameras: String = self.cameras.iter().map(line).collect();
+        let cameras: String = self.cameras.iter().map(RenderedCamera::describe).collect();
         let truth = self.truth.display();
         format!(
             "{cameras}length    {:.1} m\ntruth     colmap:{truth}\nin {}\n",

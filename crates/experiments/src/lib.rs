@@ -1,5 +1,6 @@
 #![doc = include_str!("../README.md")]
 
+mod collection_folder;
 mod demo;
 mod drive_evaluation;
 mod drive_folder;
@@ -7,6 +8,7 @@ mod error;
 mod paper;
 mod progress;
 
+pub use collection_folder::{RenderedCollection, render_collection};
 pub use demo::{DemoOptions, DemoOutcome, demo};
 pub use drive_folder::{
     BASELINE_M, Plan, Rendered, RenderedCamera, render, write_depths, write_scan,

@@ -1,6 +1,7 @@
 #![doc = include_str!("../README.md")]
 
 mod clocks;
+mod collection;
 mod drive;
 pub mod effects;
 mod error;
@@ -17,6 +18,7 @@ pub mod world;
 mod write;
 
 pub use clocks::Clock;
+pub use collection::{Collection, CollectionCamera, CollectionKind, CollectionOptions, Photo};
 pub use drive::{Drive, DriveCamera, DriveOptions, Exposure, RouteKind};
 pub use effects::Effects;
 pub use error::Error;

@@ -3,7 +3,7 @@
 
 use std::io::Cursor;
 
-use image::{ImageFormat, RgbImage, codecs::jpeg::JpegEncoder};
+use image::{ImageEncoder, ImageFormat, RgbImage, codecs::jpeg::JpegEncoder};
 use rayon::prelude::*;
 use tiepoint_geometry::Rng;
 
@@ -76,14 +76,16 @@ fn approximate_normal(bits: &mut [u64; 2]) -> f32 {
 /// The image after JPEG compression with a quality of 1 to 100.
 pub(crate) fn jpeg_round_trip(image: &RgbImage, quality: u8) -> Option<RgbImage> {
     let decoded =
-        image::load_from_memory_with_format(&jpeg_bytes(image, quality)?, ImageFormat::Jpeg);
+        image::load_from_memory_with_format(&jpeg_bytes(image, quality, &[])?, ImageFormat::Jpeg);
     decoded.ok().map(|image| image.to_rgb8())
 }
 
-/// The bytes of a JPEG file of the image.
-pub(crate) fn jpeg_bytes(image: &RgbImage, quality: u8) -> Option<Vec<u8>> {
+/// The bytes of a JPEG file of the image with EXIF data, which may be empty.
+pub(crate) fn jpeg_bytes(image: &RgbImage, quality: u8, exif: &[u8]) -> Option<Vec<u8>> {
     let mut bytes = Cursor::new(Vec::new());
-    JpegEncoder::new_with_quality(&mut bytes, quality).encode_image(image).ok()?;
+    let mut encoder = JpegEncoder::new_with_quality(&mut bytes, quality);
+    encoder.set_exif_metadata(exif.to_vec()).ok()?;
+    encoder.encode_image(image).ok()?;
     Some(bytes.into_inner())
 }
 

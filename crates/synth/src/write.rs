@@ -12,7 +12,7 @@ use crate::photometry::jpeg_bytes;
 use crate::render::Renderer;
 
 /// Writes a file under a temporary name and renames it, so that no incomplete file has the name.
-fn write_file(path: &Path, bytes: &[u8]) -> Result<(), Error> {
+pub(crate) fn write_file(path: &Path, bytes: &[u8]) -> Result<(), Error> {
     let part = path.with_extension("part");
     let written = path.parent().map_or(Ok(()), fs::create_dir_all);
     let written =
@@ -167,7 +167,7 @@ impl Drive {
         let path = folder.join(&exposure.name);
         let image = self.render_raw(camera, exposure, renderer);
         let bytes = match self.jpeg_quality() {
-            Some(quality) => jpeg_bytes(&image, quality),
+            Some(quality) => jpeg_bytes(&image, quality, &[]),
             None => {
                 let mut bytes = std::io::Cursor::new(Vec::new());
                 image

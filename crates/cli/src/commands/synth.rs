@@ -1,6 +1,6 @@
-use tiepoint_experiments::{BASELINE_M, Plan, render, write_depths, write_scan};
+use tiepoint_experiments::{BASELINE_M, Plan, render, render_collection, write_depths, write_scan};
 use tiepoint_synth::trajectory::{Carrier, Motion};
-use tiepoint_synth::{DriveOptions, Mount, RouteKind};
+use tiepoint_synth::{CollectionOptions, DriveOptions, Mount, RouteKind};
 
 use crate::args::Synth;
 use crate::failure::Failure;
@@ -8,6 +8,11 @@ use crate::output::Output;
 use crate::progress::Progress;
 
 pub(crate) fn synth(args: &Synth, output: &Output) -> Result<(), Failure> {
+    if let Some(kind) = args.collection {
+        let options = CollectionOptions { kind, seed: args.seed, photos: args.photos };
+        let rendered = render_collection(&args.output, &options, &mut Progress::new(output))?;
+        return output.result(&rendered, || rendered.describe());
+    }
     let plan = plan(args);
     let drive = plan.drive()?;
     let mut progress = Progress::new(output);

@@ -1,4 +1,4 @@
-//! Rendered drives: their files, and their reconstruction.
+//! Rendered drives and collections: their files, and the reconstruction of drives.
 
 use std::fs;
 
@@ -73,6 +73,43 @@ fn drive_has_images_times_and_ground_truth() {
     tiepoint_in(dir, "synth -o {}/deep/drive --frames 3 --size 64x48")
         .failed(1, &["other options", "-o"]);
     assert!(image() == before, "left alone");
+}
+
+/// Its photos have the cameras of the truth; those with EXIF data have their focal lengths to the
+/// half millimetre of rounding, which is 2 % of 26 mm.
+#[test]
+fn collection_has_photos_of_several_cameras_and_ground_truth() {
+    let dir = tempfile::tempdir().unwrap();
+    let dir = dir.path();
+    let line = "synth -o {}/room --collection room --photos 6 --json";
+    let rendered = tiepoint_in(dir, line).done().json();
+    tiepoint_in(dir, line).done();
+    assert_eq!(fs::read_dir(dir.join("room/photos")).unwrap().count(), 6);
+    let truth = rendered["truth"].as_str().unwrap();
+    let evaluation =
+        tiepoint_in(dir, &format!("evaluate poses {truth} --truth colmap:{truth} --json"));
+    assert_eq!(evaluation.done().json()["registered"], 6);
+    tiepoint_in(dir, "features {}/room/photos -o {}/ws").done();
+    let database = rusqlite::Connection::open(dir.join("ws/database.db")).unwrap();
+    let query = "SELECT width, params, prior_focal_length FROM cameras";
+    let mut query = database.prepare(query).unwrap();
+    let mut rows = query.query([]).unwrap();
+    let mut found = 0;
+    while let Some(row) = rows.next().unwrap() {
+        let (width, params, has_prior): (i64, Vec<u8>, bool) =
+            (row.get(0).unwrap(), row.get(1).unwrap(), row.get(2).unwrap());
+        let focal_px = f64::from_le_bytes(params[..8].try_into().unwrap());
+        let cameras = rendered["cameras"].as_array().unwrap();
+        let camera = cameras.iter().find(|camera| camera["width"] == width).unwrap();
+        assert_eq!(has_prior, camera["name"] != "long");
+        let error = focal_px / camera["focal_px"].as_f64().unwrap() - 1.0;
+        assert!(!has_prior || error.abs() < 0.02, "{focal_px}");
+        found += usize::from(camera["images"] != 0);
+    }
+    assert!(found >= 2, "{found}");
+    tiepoint_in(dir, "synth -o {}/no --collection room --frames 3").failed(2, &["--frames"]);
+    tiepoint_in(dir, "synth -o {}/no --photos 3").failed(2, &["--collection"]);
+    tiepoint_in(dir, "synth -o {}/no --collection room --photos 1").failed(2, &["photos = 1"]);
 }
 
 #[test]

@@ -13,7 +13,7 @@ use super::refiner::Refiner;
 use crate::Error;
 use crate::event::{Event, Watch, notify};
 use crate::known_frames::KnownFrames;
-use crate::register::{Evidence, NextBestView};
+use crate::register::{Evidence, NextBestView, contradicted};
 use crate::tracks::{TrackOptions, filter_all_points, triangulate_image};
 
 /// Minimum angle of points that register one image and then are filtered as all are (0.5°). With an
@@ -104,9 +104,34 @@ impl<'a> Growth<'a> {
             self.next_best_view.reset_trials();
             // Retries one failed image.
             let next = self.register_usual().or_else(|| self.register_weak());
-            let Some(image) = next else { return Ok(()) };
+            let Some(image) = next else {
+                if self.remove_contradicted() {
+                    continue;
+                }
+                return Ok(());
+            };
             self.add_image(image, watch)?;
         }
+    }
+
+    /// Removes the images that do not see what others see; whether there were any. They may be
+    /// registered again, now that none misleads another.
+    fn remove_contradicted(&mut self) -> bool {
+        let Input { graph, options, known_rigs, .. } = self.refiner.input;
+        let is_free = self.refiner.constant_poses().is_none() && known_rigs.is_none();
+        if !matches!(self.extent, Extent::All) || !is_free {
+            return false;
+        }
+        let model = &mut self.refiner.solution.model;
+        let mut is_changed = false;
+        while let Some(image) = contradicted(graph, model) {
+            model.deregister(image);
+            is_changed = true;
+        }
+        if is_changed {
+            filter_all_points(model, &options.filter);
+        }
+        is_changed
     }
 
     /// Registers an image with the usual evidence, which also takes deferred images in the end.

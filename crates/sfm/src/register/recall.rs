@@ -10,7 +10,7 @@ use super::options::RegisterOptions;
 /// Views of a point whose directions differ by less than 10° and whose distances differ by less
 /// than a quarter match well (Mikolajczyk & Schmid 2005).
 const MAX_VIEW_ANGLE_RAD: f64 = 0.175;
-const MAX_DISTANCE_RATIO: f64 = 1.25;
+pub(super) const MAX_DISTANCE_RATIO: f64 = 1.25;
 
 /// Points that an image ought to observe, and those of them that it observes.
 #[derive(Clone, Copy, Debug, Default)]

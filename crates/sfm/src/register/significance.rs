@@ -29,8 +29,21 @@ pub(super) fn chance_of_agreement(camera: &Camera, max_error_px: f64) -> f64 {
 
 /// Whether chance does not explain that `num_inliers` of `num_candidates` agree with a pose.
 pub(super) fn is_significant(num_candidates: usize, num_inliers: usize, chance: f64) -> bool {
-    num_inliers > SAMPLE
-        && ln_false_alarms(num_candidates, num_inliers, chance) <= MAX_FALSE_ALARMS.ln()
+    num_inliers > SAMPLE && are_too_few(ln_false_alarms(num_candidates, num_inliers, chance))
+}
+
+/// ln of the number of false alarms of `tests` tests, of which each counts events of probability
+/// `chance` in `num` trials and one finds `found` or more.
+pub(super) fn ln_binomial_false_alarms(tests: usize, num: usize, found: usize, chance: f64) -> f64 {
+    let term = |k: usize| {
+        (ln_choose(num, k) + k as f64 * chance.ln() + (num - k) as f64 * (1.0 - chance).ln()).exp()
+    };
+    (tests as f64).ln() + (found..=num).map(term).sum::<f64>().ln()
+}
+
+/// Whether so few false alarms mean that it was not chance.
+pub(super) fn are_too_few(ln_false_alarms: f64) -> bool {
+    ln_false_alarms <= MAX_FALSE_ALARMS.ln()
 }
 
 fn ln_false_alarms(num_candidates: usize, num_inliers: usize, chance: f64) -> f64 {

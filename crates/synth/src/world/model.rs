@@ -10,7 +10,7 @@ use super::material::Surface;
 use super::moving_car::{self, MovingCar, MovingCarPose};
 use super::options::StreetOptions;
 use super::quad::{Quad, Ray};
-use super::{furniture, street};
+use super::{furniture, scenes, street};
 use crate::error::{Error, require};
 use crate::route::Route;
 
@@ -55,6 +55,23 @@ impl World {
     /// A highway along a route with little beside it, and with moving cars.
     pub fn highway(route: &Route, moving_cars: usize, seed: u64) -> Self {
         Self::beside(route, street::build_highway(route, seed), moving_cars, seed)
+    }
+
+    /// An object on a table, in the open.
+    pub(crate) fn table(seed: u64) -> Self {
+        let built = scenes::table(&mut Rng::stream(seed, &[5]));
+        Self::from_quads(built.quads, built.surfaces)
+    }
+
+    /// A room.
+    pub(crate) fn room(seed: u64) -> Self {
+        let built = scenes::room(&mut Rng::stream(seed, &[6]));
+        Self::from_quads(built.quads, built.surfaces)
+    }
+
+    /// Two identical houses beside a straight road.
+    pub(crate) fn twins(road: &Route, seed: u64) -> Self {
+        Self::beside(road, scenes::twins(&mut Rng::stream(seed, &[7])), 0, seed)
     }
 
     /// A route between objects, under a sky.
