@@ -16,7 +16,7 @@ fuzz_target!(|data: &[u8]| {
     write(&dir.join("ws/timestamps.csv"), TIMES.as_bytes());
     let chain = dir.join("camchain.yaml");
     let located = LocatedModel::open(&dir.join("ws")).expect("the model is right");
-    let source = ExportSource { model: &located, images: None };
+    let source = ExportSource { model: &located, images: None, overwrite: false };
     if export(&source, ExportFormat::Kalibr, &chain).is_ok() {
         let text = std::fs::read_to_string(&chain).expect("it was written");
         assert!(!text.contains("NaN") && !text.contains("inf"), "{text}");

@@ -220,7 +220,8 @@ fn write_as(
         }
         ExportFormat::Las => {
             let cloud = dense.ok_or_else(|| Error::NoDenseCloud { path: folder() })?;
-            write_file(to, [cloud], Replace::new(Some(LAS_MARK), from.overwrite), |to| {
+            let inputs = inputs.iter().map(PathBuf::as_path).chain([cloud]);
+            write_file(to, inputs, Replace::new(Some(LAS_MARK), from.overwrite), |to| {
                 points = write_las(cloud, to)?;
                 Ok::<_, Error>(())
             })?;

@@ -85,7 +85,7 @@ fn trial_support(input: Input) -> f64 {
         // A failed trial counts with the images that it registered.
         let _ = trial.grow(watch);
         most = most.max(support(trial.model()).0);
-        if trial.model().num_registered() >= MAX_TRIAL_IMAGES {
+        if trial.model().num_registered() >= MAX_TRIAL_IMAGES.min(input.graph.num_images()) {
             break;
         }
         let used = cameras(&pair);

@@ -1,5 +1,7 @@
 //! Merging of models from one rig.
 
+use std::mem;
+
 use tiepoint_adjust::Term;
 use tiepoint_scene::Reconstruction;
 
@@ -35,12 +37,20 @@ pub(super) fn merge_rig_models(
         };
         let other = models.remove(index);
         let merged = &mut models[0];
+        // The constraint refines intrinsics, whose deviations are no longer known.
+        let mut sds = mem::take(&mut merged.intrinsics_sds);
+        sds.extend(other.intrinsics_sds);
+        let of_parts = [&merged.reconstruction, &other.reconstruction];
+        sds.retain(|id, _| {
+            let now = reconstruction.camera(*id).intrinsics;
+            of_parts.iter().any(|part| part.camera(*id).intrinsics == now)
+        });
+        merged.intrinsics_sds = sds;
         merged.reconstruction = reconstruction;
         merged.rig = Some(rig);
         // The models have no camera in common.
         merged.shutters.extend(other.shutters);
         merged.calibration_evidence.extend(other.calibration_evidence);
-        merged.intrinsics_sds.extend(other.intrinsics_sds);
         merged.row_poses = row_poses(&merged.reconstruction, &merged.shutters);
         merged.num_loop_pairs += other.num_loop_pairs;
         merged.failures.extend(other.failures);

@@ -18,8 +18,9 @@ use crate::tracks::without_points_at_infinity;
 /// (`--calibration-sigma`). Photos around a place have 0.02 to 0.5 px, drives that go straight 2 to
 /// 20 px: half and double change no set of the bench of windows.
 const MAX_EFFECT_PX: f64 = 1.0;
-/// Quantile of the normal distribution for a significance of 1 %, two-sided. Half takes the fit on
-/// 4 of 11 drives with uncertain focal lengths and double on one, in place of two.
+/// The difference of two estimates that tells, in their joint standard deviation: 1 % of a normal
+/// distribution, if they were independent. Half takes the fit on 4 of 11 drives with uncertain focal
+/// lengths and double on one, in place of two.
 const SIGNIFICANT: f64 = 2.58;
 /// Cameras of fewer images tell too little of a field.
 const MIN_IMAGES: usize = 3;
@@ -32,8 +33,10 @@ type Deviations = BTreeMap<CameraId, Vec<f64>>;
 impl Refiner<'_> {
     /// Where a focal length is uncertain, fits the cameras without a calibration with a lens field
     /// for each. If a focal length of this fit contradicts that without fields, all take their
-    /// intrinsics from it and keep them; else their standard deviations count the difference.
-    /// Models whose rigs or terms may determine focal lengths stay as they are.
+    /// intrinsics from it and keep them; else their standard deviations count the difference. They
+    /// keep their own intrinsics, too, if there are other cameras, which the fit takes as exact, if
+    /// cameras share a lens, and if an image would lose its pose. Models whose rigs or terms may
+    /// determine focal lengths stay as they are.
     pub(super) fn fit_uncertain_focal_lengths(&mut self, watch: &mut Watch) -> Result<(), Error> {
         let is_fixed = self.input.known_rigs.is_some() || !self.terms.is_empty();
         if is_fixed || !self.input.options.refine.focal {
@@ -50,12 +53,21 @@ impl Refiner<'_> {
         let model = without_points_at_infinity(&self.solution.model);
         // Nothing is better known where the fit fails.
         let fits = fit_with_lens_fields(&model, &cameras, &options).unwrap_or_default();
-        if !fits.iter().any(|fit| contradicts(fit, &model, &sds)) {
-            let counted = fits.iter().map(|fit| (fit.camera, with_difference(fit, &model, &sds)));
-            self.solution.field_sds = counted.collect();
-            return Ok(());
+        let counted = fits.iter().map(|fit| (fit.camera, with_difference(fit, &model, &sds)));
+        self.solution.field_sds = counted.collect();
+        let is_whole = fits.len() == model.registered_cameras().len()
+            && model.portrait_landscape_pairs.is_empty();
+        if is_whole && fits.iter().any(|fit| contradicts(fit, &model, &sds)) {
+            // The model is as good as without the fit if it fails.
+            let _ = self.transaction(|refiner| refiner.keep_intrinsics(fits, watch))?;
         }
+        Ok(())
+    }
+
+    /// Keeps the intrinsics of a fit, to which poses and points are adjusted.
+    fn keep_intrinsics(&mut self, fits: Vec<FieldFit>, watch: &mut Watch) -> Result<(), Error> {
         let model = &mut self.solution.model;
+        let before = model.num_registered();
         for FieldFit { camera, intrinsics, sds } in fits {
             model.camera_mut(camera).intrinsics = intrinsics;
             model.calibrated.insert(camera);
@@ -65,14 +77,17 @@ impl Refiner<'_> {
         // Poses and points follow the intrinsics before tracks change.
         self.adjust(&Scope::Global, &RefinementSchedule::FINAL)?;
         self.complete();
-        self.refine_globally(&RefinementSchedule::FINAL, watch)
+        self.refine_globally(&RefinementSchedule::FINAL, watch)?;
+        let after = self.solution.model.num_registered();
+        if after < before { Err(Error::ImagesLost { before, after }) } else { Ok(()) }
     }
 }
 
 /// The cameras without a calibration, in order of their ids; none if their focal lengths are
 /// certain. Intrinsics that a fit keeps would pass for exact.
 fn cameras_to_fit(model: &Reconstruction, sds: &Deviations) -> Vec<CameraId> {
-    let is_free = |id: &CameraId| !model.intrinsics_priors.contains_key(id);
+    let is_free =
+        |id: &CameraId| !model.intrinsics_priors.contains_key(id) && !model.calibrated.contains(id);
     let is_uncertain = |id: &CameraId| {
         let camera = model.camera(*id);
         let of_effect =

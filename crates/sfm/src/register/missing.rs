@@ -5,16 +5,17 @@
 //! 2013). A point that two images observe from both sides of a third one, whose image it falls
 //! into, is hardly hidden from it, and it looks neither larger nor smaller there nor much turned.
 //! Single points are missed often, and parts of an image rarely: the image is divided into cells,
-//! and a cell counts as empty if the image observes none of its points. An image is contradicted if
-//! most of its cells are empty, and more than chance explains beside the other images of the model:
-//! where the model itself is folded, right images have many empty cells, too.
+//! and a cell in which the image has keypoints counts as empty if it observes none of the points.
+//! An image is contradicted if most of its cells are empty, and more than chance explains beside
+//! the other images of the model: where the model itself is folded, right images have many empty
+//! cells, too.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use rayon::prelude::*;
 use tiepoint_geometry::Rigid3;
 use tiepoint_geometry::nalgebra::Vector3;
-use tiepoint_scene::{CorrespondenceGraph, ImageId, Observation, Reconstruction, Track};
+use tiepoint_scene::{CorrespondenceGraph, ImageId, Keypoint, Observation, Reconstruction, Track};
 
 use super::recall::{MAX_DISTANCE_RATIO, visible_to_neighbours};
 use super::significance::{are_too_few, ln_binomial_false_alarms};
@@ -90,8 +91,14 @@ fn cells(
             *found += usize::from(track.observations.iter().any(|o| o.image == image));
         }
     }
-    let informative = points.values().filter(|(num, _)| *num >= MIN_POINTS);
-    informative.fold(Cells::default(), |sum, (_, found)| Cells {
+    // Nothing can be found behind a mask, or where all is blurred.
+    let cell_of = |keypoint: &Keypoint| {
+        ((keypoint.pixel.x / side_px) as i64, (keypoint.pixel.y / side_px) as i64)
+    };
+    let occupied: BTreeSet<(i64, i64)> = model.image(image).keypoints.iter().map(cell_of).collect();
+    let informative =
+        points.iter().filter(|(cell, (num, _))| *num >= MIN_POINTS && occupied.contains(cell));
+    informative.fold(Cells::default(), |sum, (_, (_, found))| Cells {
         num: sum.num + 1,
         num_empty: sum.num_empty + usize::from(*found == 0),
     })
@@ -140,22 +147,32 @@ mod tests {
 
     const IMAGES: usize = 12;
     const POINTS: usize = 800;
+    const COLUMNS: usize = 32;
     /// How often a right image finds a point: the lower end of what right images see (`recall`).
     const FOUND: f64 = 0.5;
     const DRAWS: u64 = 20;
 
     /// Images that pass a wall of points a metre apart. Each finds some of the points; `wrong` only
-    /// those right of `from_px`.
-    fn contradicted_of(seed: u64, wrong: usize, from_px: f64) -> Option<ImageId> {
+    /// those right of `from_px`. It has keypoints right of `masked_px`, the others everywhere.
+    fn contradicted_of(seed: u64, wrong: usize, from_px: f64, masked_px: f64) -> Option<ImageId> {
         let mut rng = Rng::stream(seed, &[]);
         let intrinsics = Intrinsics::centred(CameraModelKind::SimpleRadial, 500.0, 640, 480);
         let mut model = Reconstruction::default();
         let camera =
             model.add_camera(Camera { intrinsics, width: 640, height: 480, has_focal_prior: true });
-        let keypoint = Keypoint { pixel: Vector2::zeros(), scale_px: 1.0 };
+        // Only their places over the image matter.
+        let keypoints = |k: usize| -> Vec<Keypoint> {
+            let from_px = if k == wrong { masked_px } else { 0.0 };
+            let place = |at: usize| {
+                let (column, row) = ((at % COLUMNS) as f64, (at / COLUMNS) as f64);
+                let x = from_px + column * (640.0 - from_px) / COLUMNS as f64;
+                Vector2::new(x, row * 480.0 / (POINTS / COLUMNS) as f64)
+            };
+            (0..POINTS).map(|at| Keypoint { pixel: place(at), scale_px: 1.0 }).collect()
+        };
         let images: Vec<ImageId> = (0..IMAGES)
             .map(|k| {
-                let image = Image::new(format!("{k}"), camera, vec![keypoint; POINTS]);
+                let image = Image::new(format!("{k}"), camera, keypoints(k));
                 let image = model.add_image(image);
                 let centre = Vector3::new(k as f64, 0.2 * rng.normal(), 0.0);
                 model.register(image, Rigid3::from_axis_angle(Vector3::zeros(), -centre));
@@ -191,10 +208,12 @@ mod tests {
     #[test]
     fn an_image_that_sees_a_copy_is_contradicted() {
         for seed in 0..DRAWS {
-            assert_eq!(contradicted_of(seed, 5, 0.0), None, "{seed}");
-            let found = contradicted_of(seed, 5, 0.65 * 640.0);
+            let from_px = 0.65 * 640.0;
+            assert_eq!(contradicted_of(seed, 5, 0.0, 0.0), None, "{seed}");
+            let found = contradicted_of(seed, 5, from_px, 0.0);
             assert_eq!(found.map(|image| image.index()), Some(5), "{seed}");
-            assert_eq!(contradicted_of(seed, 0, 0.65 * 640.0), None, "{seed}");
+            assert_eq!(contradicted_of(seed, 0, from_px, 0.0), None, "{seed}");
+            assert_eq!(contradicted_of(seed, 5, from_px, from_px), None, "a mask, {seed}");
         }
     }
 
