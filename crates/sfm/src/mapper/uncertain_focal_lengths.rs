@@ -19,8 +19,8 @@ use crate::tracks::without_points_at_infinity;
 /// 20 px: half and double change no set of the bench of windows.
 const MAX_EFFECT_PX: f64 = 1.0;
 /// The difference of two estimates that tells, in their joint standard deviation: 1 % of a normal
-/// distribution, if they were independent. Half takes the fit on 4 of 11 drives with uncertain focal
-/// lengths and double on one, in place of two.
+/// distribution, if they were independent. Half takes the fit on 4 of 11 drives with uncertain
+/// focal lengths and double on one, in place of two.
 const SIGNIFICANT: f64 = 2.58;
 /// Cameras of fewer images tell too little of a field.
 const MIN_IMAGES: usize = 3;
