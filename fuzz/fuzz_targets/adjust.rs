@@ -18,7 +18,7 @@ fuzz_target!(|data: &[u8]| {
         dir
     };
     let mut steps = 0;
-    let done = adjust(&path, None, which & 2 != 0, &mut |_| {
+    let done = adjust(&path, None, false, which & 2 != 0, &mut |_| {
         steps += 1;
         if steps < 20 { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
     });

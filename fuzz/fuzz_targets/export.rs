@@ -22,7 +22,7 @@ fuzz_target!(|data: &[u8]| {
     files(&model, &names, data);
     let workspace = dir.join("ws");
     let Ok(located) = LocatedModel::open(&workspace) else { return };
-    let source = ExportSource { model: &located, images: None };
+    let source = ExportSource { model: &located, images: None, overwrite: false };
     for (format, to) in [
         (ExportFormat::Colmap, "binary"),
         (ExportFormat::ColmapText, "text"),
