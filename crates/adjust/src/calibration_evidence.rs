@@ -13,18 +13,13 @@
 //! standard deviation τ. τ is estimated from the field that residuals show after a refinement of
 //! the intrinsics ([`RandomEffects`]).
 
-use tiepoint_scene::{CameraId, Reconstruction};
+use tiepoint_scene::{CameraId, IntrinsicsPrior, Reconstruction};
 
 use crate::Error;
-use crate::field_effects::{fit_poses, num_modes, random_effects};
+use crate::field_effects::{cameras_with_fields, fit_poses, num_modes, random_effects};
 use crate::intrinsics::fixed_columns;
 use crate::noise::FitNoise;
 use crate::options::{AdjustOptions, RefineIntrinsics};
-
-/// Calibrated cameras of fewer images tell too little.
-const MIN_IMAGES: usize = 3;
-/// Cameras that are compared at most, those with the most images: the cost grows with the cube.
-const MAX_CAMERAS: usize = 8;
 
 /// What images say of calibrations.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -65,23 +60,12 @@ pub fn calibration_evidence(
 
 /// Cameras whose calibrations are tested, in order of their ids.
 fn calibrated_cameras(model: &Reconstruction, refine: RefineIntrinsics) -> Vec<CameraId> {
-    let mut found: Vec<(usize, CameraId)> = model
-        .intrinsics_priors
-        .iter()
-        .filter(|(camera, prior)| {
-            let kind = model.camera(**camera).intrinsics.kind();
-            !model.calibrated.contains(camera)
-                && prior.mean.kind() == kind
-                && fixed_columns(kind, refine).len() < kind.num_params()
-        })
-        .map(|(camera, _)| {
-            (model.registered().filter(|(_, image, _)| image.camera == *camera).count(), *camera)
-        })
-        .filter(|(count, _)| *count >= MIN_IMAGES)
-        .collect();
-    found.sort_by_key(|(count, camera)| (std::cmp::Reverse(*count), *camera));
-    found.truncate(MAX_CAMERAS);
-    let mut cameras: Vec<CameraId> = found.into_iter().map(|(_, camera)| camera).collect();
-    cameras.sort();
-    cameras
+    let is_tested = |(camera, prior): &(&CameraId, &IntrinsicsPrior)| {
+        let kind = model.camera(**camera).intrinsics.kind();
+        !model.calibrated.contains(camera)
+            && prior.mean.kind() == kind
+            && fixed_columns(kind, refine).len() < kind.num_params()
+    };
+    let tested = model.intrinsics_priors.iter().filter(is_tested).map(|(camera, _)| *camera);
+    cameras_with_fields(model, tested)
 }

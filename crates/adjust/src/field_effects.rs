@@ -1,5 +1,7 @@
 //! Lens fields of a finished model as random effects on its intrinsics.
 
+use std::cmp::Reverse;
+
 use tiepoint_ba::factors::LensField;
 use tiepoint_ba::{AnyKey, RandomEffects};
 use tiepoint_geometry::Rigid3;
@@ -26,6 +28,28 @@ const MIN_POINTS: usize = 10;
 /// a field of 0.15 px: with 7, exact intrinsics are contradicted on most of them (factors of 4 to
 /// 70), with 28, focal lengths that are 1 % off are kept on all drives, and KITTI 04's calibration.
 const MODES_PER_CAMERA: usize = 14;
+
+/// Cameras of fewer images tell too little of a field.
+const MIN_IMAGES: usize = 3;
+/// Cameras that have a field at most, those with the most images: the cost grows with the cube.
+const MAX_CAMERAS: usize = 8;
+
+/// Those of some cameras that may have lens fields: with enough registered images, and not too many
+/// cameras. In order of their ids.
+pub fn cameras_with_fields(
+    model: &Reconstruction,
+    cameras: impl IntoIterator<Item = CameraId>,
+) -> Vec<CameraId> {
+    let count = |id: CameraId| model.registered().filter(|(_, it, _)| it.camera == id).count();
+    let counted = cameras.into_iter().map(|id| (count(id), id));
+    let mut found: Vec<(usize, CameraId)> =
+        counted.filter(|(count, _)| *count >= MIN_IMAGES).collect();
+    found.sort_by_key(|(count, camera)| (Reverse(*count), *camera));
+    found.truncate(MAX_CAMERAS);
+    let mut cameras: Vec<CameraId> = found.into_iter().map(|(_, camera)| camera).collect();
+    cameras.sort();
+    cameras
+}
 
 /// The modes that tell of the fields of some cameras.
 pub(crate) fn num_modes(num_cameras: usize) -> usize {
@@ -71,8 +95,7 @@ pub(crate) fn random_effects<'a>(
     let wide: Vec<Option<IntrinsicsPrior>> = model.cameras().map(|(id, _)| wide(id)).collect();
     let regular = AdjustOptions::default();
     let scene = FieldProblem::new(model, options.loss, |id| {
-        let intrinsics = wide[id.index()].as_ref()?;
-        let intrinsics = Some(intrinsics);
+        let intrinsics = Some(wide[id.index()].as_ref()?);
         Some(FieldPriors { refine, intrinsics, field_px: WIDE_FIELD_PX, options: &regular })
     })?;
     let keys: Vec<AnyKey> = scene.cameras.iter().flat_map(|it| [it.intrinsics, it.field]).collect();

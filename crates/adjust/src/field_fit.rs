@@ -18,6 +18,9 @@ use crate::field_problem::{FieldPriors, FieldProblem};
 use crate::noise::FitNoise;
 use crate::options::AdjustOptions;
 
+/// Standard deviation of a field that residuals do not show: a prior cannot have none.
+const MIN_FIELD_PX: f64 = 1e-3;
+
 /// Intrinsics of a camera by a fit with lens fields.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FieldFit {
@@ -88,6 +91,3 @@ pub fn fit_with_lens_fields(
     });
     Ok(fits.collect())
 }
-
-/// Standard deviation of a field that residuals do not show: a prior cannot have none.
-const MIN_FIELD_PX: f64 = 1e-3;

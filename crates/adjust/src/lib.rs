@@ -24,6 +24,7 @@ mod variables;
 pub use calibration_evidence::{CalibrationEvidence, calibration_evidence};
 pub use covariance::covariance_of_fit;
 pub use error::Error;
+pub use field_effects::cameras_with_fields;
 pub use field_fit::{FieldFit, fit_with_lens_fields};
 pub use gauge::{Gauge, fix_gauge};
 pub use image_grid::grid_cell;

@@ -375,6 +375,21 @@ fn no_command_replaces_a_file_that_it_reads_or_did_not_make() {
 }
 
 #[test]
+fn an_export_with_overwrite_keeps_what_the_model_was_made_of() {
+    let dir = tempfile::tempdir().unwrap();
+    let dir = dir.path();
+    reconstructed(dir, "photos");
+    for target in ["photos/0.png", "ws/database.db"] {
+        let before = fs::read(dir.join(target)).unwrap();
+        for format in ["ply", "bal", "gltf"] {
+            let line = format!("export {{}}/ws --to {format} -o {{}}/{target} --overwrite");
+            tiepoint_in(dir, &line).failed(1, &["is read by this command"]);
+            assert!(fs::read(dir.join(target)).unwrap() == before, "{line}");
+        }
+    }
+}
+
+#[test]
 fn workspace_copied_without_hidden_files_knows_its_own() {
     let dir = tempfile::tempdir().unwrap();
     let dir = dir.path();

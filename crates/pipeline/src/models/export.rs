@@ -8,7 +8,7 @@ use serde::Serialize;
 use tiepoint_dense::undistort::{UndistortOptions, Undistortion, undistort_model};
 use tiepoint_input::parallel::{budget_bytes, for_each_within_budget};
 use tiepoint_input::sequences::number;
-use tiepoint_input::{Exif, Rgb};
+use tiepoint_input::{Exif, ImageFolder, Rgb};
 use tiepoint_io::bal::Bal;
 use tiepoint_io::colmap::Format;
 use tiepoint_io::nerfstudio::{self, Motion};
@@ -24,7 +24,7 @@ use crate::Error;
 use crate::models::rigid::{RigidReport, rigid_model};
 use crate::models::{kalibr, rolling_shutter};
 use crate::workspace::file_marks::{COMMENT, COMMENT_MARK, GLTF_MARK, LAS_MARK, PLY_MARK};
-use crate::workspace::folder::{is_workspace, refuse_workspace};
+use crate::workspace::folder::{current_records, is_workspace, refuse_workspace};
 use crate::workspace::image_names::first_stream;
 use crate::workspace::located_model::LocatedModel;
 use crate::workspace::model_output::{model_names, refuse_shadow, renamed, stage_model};
@@ -175,6 +175,26 @@ pub fn export_detected(
     write_as(&ExportSource { model: &model, ..*from }, dense.as_deref(), format, to)
 }
 
+/// The files that a result does not replace: those of the model, and with `overwrite` what it was
+/// made of. Where photos cannot be listed, there are none to protect.
+fn protected(from: &ExportSource) -> Vec<PathBuf> {
+    let mut files = from.model.files();
+    if from.overwrite {
+        files.push(from.model.database());
+        let of_workspace = from.model.workspace().map(|root| Ok(current_records(root)?.inputs));
+        let inputs = match (from.images, of_workspace) {
+            (Some(images), _) => vec![images.to_owned()],
+            (None, of_workspace) => {
+                of_workspace.and_then(Result::<_, Error>::ok).unwrap_or_default()
+            }
+        };
+        if let Ok(photos) = ImageFolder::open(&inputs, None) {
+            files.extend((0..photos.images().len()).map(|index| photos.path(index).to_owned()));
+        }
+    }
+    files
+}
+
 fn write_as(
     from: &ExportSource,
     dense: Option<&Path>,
@@ -184,7 +204,7 @@ fn write_as(
     let (located, model) = (from.model, &from.model.reconstruction);
     let folder = || located.folder().to_owned();
     let (mut poses, mut points, mut in_place) = (model.num_registered(), model.num_tracks(), 0);
-    let inputs = located.files();
+    let inputs = protected(from);
     let file = |mark, write: &dyn Fn(&Path) -> Result<(), Error>| {
         let replace = Replace::new(mark, from.overwrite);
         write_file(to, inputs.iter().map(PathBuf::as_path), replace, write)

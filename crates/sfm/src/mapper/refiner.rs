@@ -82,6 +82,7 @@ impl<'a> Refiner<'a> {
         if matches!(scope, Scope::Global) {
             self.move_to_frame_of_terms();
         }
+        self.solution.intrinsics_sds = None;
         let options = self.adjust_options(schedule);
         let terms = &mut active(&mut self.terms, &self.solution);
         let terms = &mut with_terms(&mut self.baselines, terms);

@@ -22,6 +22,8 @@ pub(super) struct Solution {
     pub(super) calibration_evidence: BTreeMap<CameraId, f64>,
     /// Cameras without a calibration whose intrinsics are those of a fit with lens fields.
     pub(super) kept_intrinsics: BTreeSet<CameraId>,
+    /// Standard deviations of the intrinsics; `None` after an adjustment.
+    pub(super) intrinsics_sds: Option<BTreeMap<CameraId, Vec<f64>>>,
     /// Standard deviations of intrinsics by a fit with lens fields.
     pub(super) field_sds: BTreeMap<CameraId, Vec<f64>>,
 }
@@ -51,6 +53,7 @@ impl Solution {
             rig: None,
             calibration_evidence: BTreeMap::new(),
             kept_intrinsics: BTreeSet::new(),
+            intrinsics_sds: None,
             field_sds: BTreeMap::new(),
         }
     }

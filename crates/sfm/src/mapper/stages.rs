@@ -111,9 +111,10 @@ impl Refiner<'_> {
             }
         }
         let options = self.adjust_options(&RefinementSchedule::FINAL);
-        let mut intrinsics_sds = match self.input.options.refine == RefineIntrinsics::NONE {
-            true => BTreeMap::new(),
-            false => {
+        let mut intrinsics_sds = match self.solution.intrinsics_sds.take() {
+            Some(known) => known,
+            None if self.input.options.refine == RefineIntrinsics::NONE => BTreeMap::new(),
+            None => {
                 let terms = &mut active(&mut self.terms, &self.solution);
                 intrinsics_sds(&self.solution.model, &options, terms)
             }
@@ -195,6 +196,7 @@ impl Refiner<'_> {
     /// Estimates the rig of the finished model and constrains its cameras.
     pub(super) fn constrain_rig(&mut self, descriptors: &mut Descriptors) -> Result<(), Error> {
         self.move_to_frame_of_terms();
+        self.solution.intrinsics_sds = None;
         let Input { graph, options, .. } = self.input;
         let context = &mut Context {
             graph,

@@ -1,9 +1,8 @@
 //! Focal lengths of cameras without a calibration that images hardly determine.
 
-use std::cmp::Reverse;
 use std::collections::BTreeMap;
 
-use tiepoint_adjust::{FieldFit, Scope, fit_with_lens_fields};
+use tiepoint_adjust::{FieldFit, Scope, cameras_with_fields, fit_with_lens_fields};
 use tiepoint_scene::{Camera, CameraId, IntrinsicsPrior, Reconstruction};
 
 use super::intrinsics_sds::intrinsics_sds;
@@ -15,17 +14,15 @@ use crate::tracks::without_points_at_infinity;
 
 /// A focal length is uncertain if its standard deviation moves the projection of some ray at the
 /// border of the image by more than this. It is the unit of calibrations, too
-/// (`--calibration-sigma`). Photos around a place have 0.02 to 0.5 px, drives that go straight 2 to
-/// 20 px: half and double change no set of the bench of windows.
+/// (`--calibration-sigma`). By their stated deviations, photos and loops have 0.1 to 0.6 px, drives
+/// that go straight 2 to 20 px: half adds one of the 20 sets of docs/benchmarks/drives.md, double
+/// takes none away.
 const MAX_EFFECT_PX: f64 = 1.0;
 /// The difference of two estimates that tells, in their joint standard deviation: 1 % of a normal
 /// distribution, if they were independent. Half takes the fit on 4 of 11 drives with uncertain
-/// focal lengths and double on one, in place of two.
+/// focal lengths and double on one, in place of two. 1.96 deviations of the fit alone took it on
+/// highway-2 and two streets as features, too, which it made worse: these had a part in the choice.
 const SIGNIFICANT: f64 = 2.58;
-/// Cameras of fewer images tell too little of a field.
-const MIN_IMAGES: usize = 3;
-/// Cameras that are fitted at most, those with the most images: the cost grows with the cube.
-const MAX_CAMERAS: usize = 8;
 
 /// Standard deviations of the intrinsics of each camera.
 type Deviations = BTreeMap<CameraId, Vec<f64>>;
@@ -45,6 +42,7 @@ impl Refiner<'_> {
         let mut options = self.adjust_options(&RefinementSchedule::FINAL);
         let sds = intrinsics_sds(&self.solution.model, &options, &mut []);
         let cameras = cameras_to_fit(&self.solution.model, &sds);
+        self.solution.intrinsics_sds = Some(sds.clone());
         if cameras.is_empty() {
             return Ok(());
         }
@@ -94,18 +92,8 @@ fn cameras_to_fit(model: &Reconstruction, sds: &Deviations) -> Vec<CameraId> {
             IntrinsicsPrior::new(camera.intrinsics, camera.width, camera.height, MAX_EFFECT_PX);
         focal(camera).is_some_and(|index| sds[id][index] > of_effect.sigmas[index])
     };
-    let count = |id: CameraId| model.registered().filter(|(_, it, _)| it.camera == id).count();
-    let free = sds.keys().copied().filter(is_free).map(|id| (count(id), id));
-    let mut found: Vec<(usize, CameraId)> =
-        free.filter(|(count, _)| *count >= MIN_IMAGES).collect();
-    found.sort_by_key(|(count, camera)| (Reverse(*count), *camera));
-    found.truncate(MAX_CAMERAS);
-    let mut cameras: Vec<CameraId> = found.into_iter().map(|(_, camera)| camera).collect();
-    if !cameras.iter().any(is_uncertain) {
-        return Vec::new();
-    }
-    cameras.sort();
-    cameras
+    let cameras = cameras_with_fields(model, sds.keys().copied().filter(is_free));
+    if cameras.iter().any(is_uncertain) { cameras } else { Vec::new() }
 }
 
 /// Index of the first focal length.
