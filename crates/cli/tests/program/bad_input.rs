@@ -413,3 +413,15 @@ fn a_damaged_database_of_another_program_is_named() {
             .failed(1, &["theirs.db"]);
     }
 }
+
+#[test]
+fn what_one_camera_cannot_do_is_refused_before_features() {
+    let dir = tempfile::tempdir().unwrap();
+    let dir = dir.path();
+    photos::write(&dir.join("photos"), 3, 0);
+    let rigid = "reconstruct {}/photos -o {}/ws --rig rigid";
+    tiepoint_in(dir, rigid).failed(1, &["--rig needs two cameras", "of one", "--rig off"]);
+    let shutter = "reconstruct {}/photos -o {}/ws --rolling-shutter estimate";
+    tiepoint_in(dir, shutter).failed(1, &["capture times"]);
+    assert!(!dir.join("ws/database.db").exists(), "no features yet");
+}

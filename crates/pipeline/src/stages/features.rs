@@ -17,7 +17,7 @@ use tiepoint_io::features::{Extractor, Features, SiftExtractor};
 use tiepoint_io::names::ByName;
 use tiepoint_io::timestamps;
 use tiepoint_sfm::geometry::numeric::median;
-use tiepoint_sfm::scene::{Camera, CameraId, Image, ImageId};
+use tiepoint_sfm::scene::{Camera, CameraId, Image, ImageId, Reconstruction};
 use tiepoint_store::Error as StoreError;
 
 use crate::stages::extraction::{extract_photo, memory_of};
@@ -95,6 +95,19 @@ pub fn extract_features(
     redo: Option<Stage>,
     watch: Watch,
 ) -> Result<(), Error> {
+    extract_features_of(photos, workspace, options, redo, &|_, _| Ok(()), watch)
+}
+
+/// [`extract_features`] of photos that pass a check. It gets the scene without keypoints, before a
+/// photo is decoded.
+pub(crate) fn extract_features_of(
+    photos: &Photos,
+    workspace: &mut Workspace,
+    options: &FeatureOptions,
+    redo: Option<Stage>,
+    check: &dyn Fn(&Workspace, &Reconstruction) -> Result<(), Error>,
+    watch: Watch,
+) -> Result<(), Error> {
     let photos = &photos.with_max_pixels(options.max_pixels);
     let calibrations = Calibrations::read(&options.calibration_files, &photos.folder)?;
     let (usable, skipped) = photos.survey(options.cameras, &calibrations)?;
@@ -110,6 +123,7 @@ pub fn extract_features(
     let request = StageRequest { stage: Stage::Features, recipe, redo, inputs };
     let cameras = found.cameras;
     let survey = Survey { photos, usable, calibrations, cameras, times };
+    check(workspace, &survey.scene())?;
     workspace.run_stage(request, watch, |run| survey.extract(run, options, skipped))
 }
 
@@ -124,6 +138,21 @@ struct Survey<'a> {
 }
 
 impl Survey<'_> {
+    /// The cameras, and the images with their times, without keypoints.
+    fn scene(&self) -> Reconstruction {
+        let mut scene = Reconstruction::default();
+        let cameras: Vec<CameraId> =
+            self.cameras.iter().map(|camera| scene.add_camera(*camera)).collect();
+        let times: BTreeMap<&str, f64> = self.times.iter().copied().collect();
+        for photo in &self.usable {
+            let name = self.photos.name(photo);
+            let image = Image::new(name, cameras[photo.camera], Vec::new());
+            let id = scene.add_image(image);
+            scene.set_time(id, times.get(name).copied());
+        }
+        scene
+    }
+
     /// Extracts the features of the photos that have none yet.
     fn extract(
         &self,
