@@ -353,7 +353,7 @@ pub(crate) fn poses(evaluation: &PoseEvaluation) -> String {
     let PoseEvaluation { images, registered, scale, centre_error, rotation_error_deg, .. } =
         evaluation;
     let mut text = format!(
-        "{registered} of {images} images, scale {scale:.6}\n\
+        "{registered} of {images} images, scale {scale:.6}, lengths in units of the truth\n\
          centre error    mean {:.6}  median {:.6}  rmse (ATE) {:.6}  max {:.6}\n\
          rotation error  mean {:.4}°  median {:.4}°  max {:.4}°\n\
          relative poses ",
@@ -367,6 +367,9 @@ pub(crate) fn poses(evaluation: &PoseEvaluation) -> String {
     );
     for auc in &evaluation.relative_pose_auc {
         let _ = write!(text, " AUC@{}° {:.2} %", auc.threshold_deg, 100.0 * auc.auc);
+    }
+    if registered < images {
+        text += "  (pairs without both poses count as wrong)";
     }
     text.push('\n');
     for focal in &evaluation.focal_lengths {

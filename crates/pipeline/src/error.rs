@@ -267,8 +267,8 @@ pub enum Error {
     /// A rig constraint was asked for, and no two cameras have synchronous images.
     #[error(
         "`mapper.rig` needs two cameras with images of the same times, and of the {cameras} \
-        cameras of {path} no two have them: put the photos of each camera into a folder of its own, \
-        without `features.cameras` single, give their times to `stage.features` with \
+        cameras of {path} no two have them: put the photos of each camera into a folder of its \
+        own, without `features.cameras` single, give their times to `stage.features` with \
         `features.timestamps` FILE.csv, or choose `mapper.rig` off"
     )]
     NoSynchronousImages {
@@ -510,6 +510,12 @@ pub enum Error {
     NoImagePlane {
         /// The name of an image.
         image: String,
+    },
+    /// glTF is written in its binary form, and the file would be read as text.
+    #[error("{path}: programs read a .gltf file as text, and this one is binary: name it .glb")]
+    BinaryGltf {
+        /// The file.
+        path: PathBuf,
     },
     /// The build lacks the feature `las`.
     #[error(

@@ -93,8 +93,8 @@ fn relative_pose_of_the_true_rig_is_constant_and_drift_is_measured() {
 }
 
 /// The right camera exposes between the left ones, and its clock differs. What is left at the times
-/// of the clock is the jitter of the stamps of both cameras, 0.5 ms each: 4 mm were measured. Images
-/// nearest in time are up to half an interval apart, in which the car drives decimetres.
+/// of the clock is the jitter of the stamps of both cameras, 0.5 ms each: 4 mm were measured.
+/// Images nearest in time are up to half an interval apart, in which the car drives decimetres.
 #[test]
 fn relative_pose_is_constant_at_the_times_of_the_clock() {
     let drive = drive("clocks");

@@ -42,6 +42,8 @@ pub struct FeatureOptions {
     /// CSV file of the capture times with the header `image,seconds`; `None`: times in the file
     /// names or in EXIF.
     pub timestamps: Option<PathBuf>,
+    /// Features are those of photos that are reduced to this larger side, in pixels.
+    pub max_size: Option<u32>,
     /// Photos with more pixels are skipped, which bounds the memory that a damaged or malicious
     /// file can request. At most [`ABSOLUTE_MAX_PIXELS`](tiepoint_input::ABSOLUTE_MAX_PIXELS).
     pub max_pixels: u64,
@@ -55,6 +57,7 @@ impl Default for FeatureOptions {
             cameras: CameraGrouping::default(),
             extractor: Arc::new(SiftExtractor::default()),
             timestamps: None,
+            max_size: None,
             max_pixels: DEFAULT_MAX_PIXELS,
         }
     }
@@ -64,12 +67,20 @@ impl FeatureOptions {
     /// The recipe of the stage: fingerprint of the photos, the options, and what was found of the
     /// cameras.
     fn recipe(&self, photos: &Photos, found: &FoundCameras) -> Result<Recipe, Error> {
-        let Self { calibration, calibration_files, cameras, extractor, timestamps, max_pixels } =
-            self;
+        let Self {
+            calibration,
+            calibration_files,
+            cameras,
+            extractor,
+            timestamps,
+            max_size,
+            max_pixels,
+        } = self;
         let files = calibration_files.iter().map(CalibrationSource::fingerprint);
         let files: Vec<String> = files.collect::<Result<_, _>>()?;
         let timestamps = timestamps.as_deref().map(hash_file).transpose()?;
         let mut texts = option_keys::feature_options(calibration, timestamps);
+        texts.push(option_keys::max_size_option(*max_size));
         texts.push(option_keys::pixel_limit_option(*max_pixels));
         texts.push(option_keys::cameras_option(*cameras));
         texts.push(option_keys::calibration_files_option(&files));
@@ -174,7 +185,9 @@ impl Survey<'_> {
         self.announce(run, options, &notes, &skipped)?;
         let extractor = &*options.extractor;
         let folder = &self.photos.folder;
-        let work = |(_, photo): &(ImageId, &Photo)| extract_photo(extractor, folder, photo.index);
+        let most = options.max_size;
+        let work =
+            |(_, photo): &(ImageId, &Photo)| extract_photo(extractor, folder, photo.index, most);
         let bytes = |(_, photo): &(ImageId, &Photo)| memory_of(extractor, &photo.info);
         let take = |(id, photo): &(ImageId, &Photo), found: Result<Features, Error>| {
             let image = self.photos.name(photo);
