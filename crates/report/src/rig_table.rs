@@ -25,13 +25,6 @@ pub(super) fn rig_table(
                 let percent = 100.0 * translation;
                 row("its sigmas", format!("{percent:.3} % of the baseline, {rotation_deg:.4}°"));
             }
-            row(
-                "error of held-out tracks",
-                format!(
-                    "{:.3} px, without the rig {:.3} px",
-                    extrinsics.held_out_error_px, extrinsics.held_out_error_off_px
-                ),
-            );
         }
     }
     for camera in rig.iter().flat_map(|rig| &rig.cameras) {
@@ -136,8 +129,6 @@ mod tests {
             reason: "why".to_owned(),
             sigma_translation: Some(0.0001),
             sigma_rotation_deg: Some(0.0006),
-            held_out_error_px: 0.51,
-            held_out_error_off_px: 0.52,
             ..ExtrinsicsReport::default()
         };
         let report = RigReport {
@@ -154,7 +145,6 @@ mod tests {
                 "asked for: auto",
                 "chosen: soft: why",
                 "its sigmas: 0.010 % of the baseline, 0.0006°",
-                "error of held-out tracks: 0.510 px, without the rig 0.520 px",
                 "baseline left – right: 0.5000 ± 0.0123 m",
                 "centre of right in left: (0.3000, 0.0000, 0.4000) m",
                 "rotation of right: 90.000 °, undetermined by the images",

@@ -37,8 +37,8 @@ pub enum ConstraintLimit {
     },
     /// The relative poses deviate by more than smaller ones allow.
     Residuals,
-    /// Smaller ones of the rotation increase the error, or its residuals are larger than they allow,
-    /// as for a mount that moves.
+    /// Smaller ones of the rotation increase the error, or its residuals are larger than they
+    /// allow, as for a mount that moves.
     FlexibleRotation,
     /// Rigid frames need synchronised cameras, and no two are.
     Unsynchronised,
