@@ -57,8 +57,13 @@ pub fn reconstruct(
         open_input(inputs, masks, workspace, every, options.redo, watch)?;
     let mut features = options.features.clone();
     features.timestamps = features.timestamps.or(timestamps);
-    // What cannot be mapped as asked for is refused before hours of matching.
-    let check = |workspace: &Workspace, scene: &_| check_times(workspace, scene, &options.mapping);
+    // What cannot be mapped as asked for is refused before hours of matching. An input model may
+    // have further cameras.
+    let mapping = &options.mapping;
+    let check = |workspace: &Workspace, scene: &_| match mapping.input_model {
+        Some(_) => Ok(()),
+        None => check_times(workspace, scene, mapping),
+    };
     extract_features_of(&photos, &mut workspace, &features, options.redo, &check, watch)?;
     finish(workspace, options, watch)
 }
