@@ -15,9 +15,9 @@ const FOCAL_PX: f64 = 0.6 * 320.0;
 const MAX_ATE_M: f64 = 0.3;
 /// Relative error of the rig's baseline. Half a loop of 2 m between images determines it to 2 %.
 const MAX_BASELINE_ERROR: f64 = 0.05;
-/// Relative difference of the mean distance on the page and the baseline of `rig.json`, to which the
-/// soft constraint ties the frames: a sigma of a hundredth of the baseline and less. Images nearest
-/// in time are up to half an interval apart: a metre, two baselines.
+/// Relative difference of the mean distance on the page and the baseline of `rig.json`, to which
+/// the soft constraint ties the frames: a sigma of a hundredth of the baseline and less. Images
+/// nearest in time are up to half an interval apart: a metre, two baselines.
 const MAX_SHOWN_ERROR: f64 = 0.03;
 /// Limit of the median surface distance over its error floor: at this image size keypoint errors
 /// cause decimetres, and pose errors of centimetres add little.
