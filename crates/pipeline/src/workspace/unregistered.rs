@@ -158,6 +158,20 @@ impl Reason {
 }
 
 impl UnregisteredImage {
+    /// Why it has no pose in the largest model, in a few words.
+    pub fn why(&self) -> String {
+        let nearest = self.nearest.as_ref().map(|NearestImage { image, matches }| {
+            format!("most matches, {matches}, with {image} of {}", self.model)
+        });
+        let reason = Some(self.reason.of_group().to_owned());
+        let facts: Vec<String> =
+            [reason, self.reason.numbers(), nearest].into_iter().flatten().collect();
+        match &self.posed_in {
+            Some(other) => format!("has a pose in {other}"),
+            None => facts.join("; "),
+        }
+    }
+
     fn text(&self) -> String {
         let nearest = self.nearest.as_ref().map(|NearestImage { image, matches }| {
             format!("most matches, {matches}, with {image} of {}", self.model)
