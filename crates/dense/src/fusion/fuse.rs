@@ -156,12 +156,13 @@ fn fuse_pixel(
     let point = reference.world_point(&own, own.depth);
     let min_cosine = options.max_normal_error_rad.cos();
     let mut finest = (1.0, None);
+    // Images in whose frame the point lies.
+    let mut frames = 1;
     for (slot, (other_index, other)) in others.iter().enumerate() {
-        let Some(Agreement { depth: other_depth, surface, area }) =
-            agreement(reference, &own, &point, other, min_cosine, options)
-        else {
-            continue;
-        };
+        let Some((in_other, pixel)) = other.seen(&point) else { continue };
+        frames += 1;
+        let agreed = agreement(reference, &own, other, &in_other, pixel, min_cosine, options);
+        let Some(Agreement { depth: other_depth, surface, area }) = agreed else { continue };
         let is_earlier = *other_index < index;
         if is_earlier && area <= 1.0 && other.is_marked(surface.index) {
             return Some(Outcome::InCloud);
@@ -175,9 +176,12 @@ fn fuse_pixel(
         (0..3).for_each(|channel| color[channel] += u32::from(surface.color[channel]));
     }
     let count = views.count_ones();
-    let is_enough = count as usize >= options.min_views.min(others.len() + 1);
+    // A second one confirms a surface that lies in no third image.
+    let possible = frames.max(2).min(others.len() + 1);
+    let is_enough = count as usize >= options.min_views.min(possible);
     // An earlier image that left its surface to this one has found enough images.
-    if !is_enough && !(count > 1 && reference.is_marked(own.index)) {
+    let was_enough = count > 1 && reference.is_marked(own.index);
+    if !(is_enough || was_enough) {
         return None;
     }
     if let (_, Some((slot, pixel))) = finest {

@@ -98,6 +98,17 @@ impl FusionImage {
         self.world_from_cam * (surface.ray * depth)
     }
 
+    /// A point of the world frame in that of the camera, and the pixel that sees it; `None` if it
+    /// lies outside of the image.
+    pub(super) fn seen(&self, point: &Vector3<f64>) -> Option<(Vector3<f64>, [usize; 2])> {
+        let in_camera = self.camera.cam_from_world * *point;
+        let place = self.camera.project(&in_camera)?;
+        let (x, y) = ((place.x + 0.5).floor(), (place.y + 0.5).floor());
+        let (width, height) = (self.depths.width as f64, self.depths.height as f64);
+        let is_inside = x >= 0.0 && y >= 0.0 && x < width && y < height;
+        is_inside.then_some((in_camera, [x as usize, y as usize]))
+    }
+
     /// Area of a pixel on a surface at a point of the world frame, up to the length of the normal.
     fn area(&self, in_camera: &Vector3<f64>, normal: &Vector3<f64>) -> f64 {
         let [fx, fy] = self.camera.focal;
@@ -117,24 +128,19 @@ pub(super) fn mark(marks: &mut [u64], pixel: usize) {
     marks[pixel / 64] |= 1 << (pixel % 64);
 }
 
-/// What `other` sees at a surface of `reference` at `point` in the world frame, if it is the same
-/// surface. `min_cosine` is that of the largest angle between the normals.
+/// What `other` sees at a surface of `reference` that lies at `in_other` in its frame and in its
+/// pixel `pixel`, if it is the same surface. `min_cosine` is that of the largest angle between the
+/// normals.
 pub(super) fn agreement(
     reference: &FusionImage,
     own: &Surface,
-    point: &Vector3<f64>,
     other: &FusionImage,
+    in_other: &Vector3<f64>,
+    pixel: [usize; 2],
     min_cosine: f64,
     options: &FusionOptions,
 ) -> Option<Agreement> {
-    let in_other = other.camera.cam_from_world * *point;
-    let place = other.camera.project(&in_other)?;
-    let (x, y) = ((place.x + 0.5).floor(), (place.y + 0.5).floor());
-    let (width, height) = (other.depths.width as f64, other.depths.height as f64);
-    if !(x >= 0.0 && y >= 0.0 && x < width && y < height) {
-        return None;
-    }
-    let surface = other.surface(x as usize, y as usize)?;
+    let surface = other.surface(pixel[0], pixel[1])?;
     if surface.normal.dot(&own.normal) < min_cosine {
         return None;
     }
@@ -155,6 +161,6 @@ pub(super) fn agreement(
     }
     // With one normal for both, so that each of the two images finds the same one finer.
     let normal = 0.5 * (own.normal + surface.normal);
-    let area = other.area(&in_other, &normal) / reference.area(&(own.ray * own.depth), &normal);
+    let area = other.area(in_other, &normal) / reference.area(&(own.ray * own.depth), &normal);
     Some(Agreement { depth: back.z, surface, area })
 }
