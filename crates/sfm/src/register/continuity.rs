@@ -22,9 +22,11 @@ const MIN_STEPS: usize = 10;
 /// distance travelled at the usual speed. An immediate reversal gives 2. Windows 8.7 m apart moved
 /// a camera that makes 1 m a frame by 8.7 times, next to a wrongly registered frame by 4.
 const MAX_DEVIATION: f64 = 2.0;
-/// A deviation of this fraction is plausible for any camera.
+/// A deviation of this fraction is plausible for any camera. Half and double change nothing on four
+/// rendered streets.
 const MIN_DEVIATION: f64 = 0.5;
-/// Between both, the limit is the deviation that so many times the usual acceleration causes.
+/// Between both, the limit is the deviation that so many times the usual acceleration causes. Half
+/// changes the error of one of the four streets from 14.4 to 13.6 cm, double changes nothing.
 const MAX_ACCELERATIONS: f64 = 3.0;
 /// Number of images before and after an image that are searched for a registered one.
 const MAX_SEARCH: usize = 20;
