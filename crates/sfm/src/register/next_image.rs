@@ -149,7 +149,8 @@ impl NextBestView {
     }
 
     /// Returns the placement of the first candidate that is not deferred. If there is none: an
-    /// error with the candidates that have no pose, or else the best deferred candidate.
+    /// error with the candidates that have no pose, or else the best deferred candidate. One that
+    /// both its motion and its recall contradict is not registered.
     fn choose(
         &mut self,
         graph: &CorrespondenceGraph,
@@ -196,6 +197,8 @@ impl NextBestView {
             return Err(failed);
         }
         deferred_candidates.sort_by(|(a, one), (b, other)| b.total_cmp(a).then(one.cmp(other)));
+        // Images that are refused do not block others that wait for them.
+        let mut refused = BTreeSet::new();
         for (_, image) in deferred_candidates {
             let Some(placement) = self.estimate_pose(graph, model, image, options, evidence) else {
                 failed.insert(image);
@@ -206,7 +209,9 @@ impl NextBestView {
             if placement.is_plausible || has_recall {
                 return Ok(placement);
             }
+            refused.insert(image);
         }
+        failed.extend(refused);
         Err(failed)
     }
 
