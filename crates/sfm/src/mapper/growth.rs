@@ -104,7 +104,6 @@ impl<'a> Growth<'a> {
             self.next_best_view.reset_trials();
             // Retries one failed image.
             let next = self.register_usual().or_else(|| self.register_weak());
-            let next = next.or_else(|| self.register_past_refused());
             let Some(image) = next else {
                 if self.remove_contradicted() {
                     continue;
@@ -141,14 +140,6 @@ impl<'a> Growth<'a> {
             return None;
         }
         self.register_next(Evidence::Usual)
-    }
-
-    /// Registers an image that waited for one that is refused.
-    fn register_past_refused(&mut self) -> Option<ImageId> {
-        self.next_best_view.wait_for_refused(false);
-        let next = self.register_usual();
-        self.next_best_view.wait_for_refused(true);
-        next
     }
 
     /// Registers an image with less evidence, where nothing else is left: first with the points of

@@ -45,8 +45,6 @@ pub(crate) struct NextBestView {
     recalls: BTreeMap<ImageId, Option<f64>>,
     /// Deferred images.
     deferred: BTreeMap<ImageId, DeferredImage>,
-    /// Whether images wait for those between them and the model that are refused.
-    waits_for_refused: bool,
 }
 
 /// An image that could be registered, but waits for others.
@@ -69,14 +67,7 @@ impl NextBestView {
             registrations: BTreeMap::new(),
             recalls: BTreeMap::new(),
             deferred: BTreeMap::new(),
-            waits_for_refused: true,
         }
-    }
-
-    /// Sets whether images wait for those between them and the model that are refused: these may
-    /// have another pose when the model has grown elsewhere or is refined.
-    pub(crate) fn wait_for_refused(&mut self, waits: bool) {
-        self.waits_for_refused = waits;
     }
 
     /// Failed images may be tried again.
@@ -206,6 +197,7 @@ impl NextBestView {
             return Err(failed);
         }
         deferred_candidates.sort_by(|(a, one), (b, other)| b.total_cmp(a).then(one.cmp(other)));
+        // Images that are refused do not block others that wait for them.
         let mut refused = BTreeSet::new();
         for (_, image) in deferred_candidates {
             let Some(placement) = self.estimate_pose(graph, model, image, options, evidence) else {
@@ -219,9 +211,7 @@ impl NextBestView {
             }
             refused.insert(image);
         }
-        if !self.waits_for_refused {
-            failed.extend(refused);
-        }
+        failed.extend(refused);
         Err(failed)
     }
 
