@@ -197,8 +197,6 @@ impl NextBestView {
             return Err(failed);
         }
         deferred_candidates.sort_by(|(a, one), (b, other)| b.total_cmp(a).then(one.cmp(other)));
-        // Images that are refused do not block others that wait for them.
-        let mut refused = BTreeSet::new();
         for (_, image) in deferred_candidates {
             let Some(placement) = self.estimate_pose(graph, model, image, options, evidence) else {
                 failed.insert(image);
@@ -209,9 +207,9 @@ impl NextBestView {
             if placement.is_plausible || has_recall {
                 return Ok(placement);
             }
-            refused.insert(image);
+            // Images behind it in time go on waiting: registered past it, they would be misplaced
+            // by the same windows.
         }
-        failed.extend(refused);
         Err(failed)
     }
 
