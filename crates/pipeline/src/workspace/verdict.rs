@@ -45,8 +45,8 @@ fn of_rig(rig: &RigReport) -> String {
         ConstraintKind::Rigid => "rigid",
     };
     format!(
-        "the rig ({kind}) ties {frames} of {all} pairs of images, so that the scale cannot drift between \
-        them; held-out tracks {:.3} px, without it {:.3} px",
+        "the rig ({kind}) ties {frames} of {all} pairs of images, so that the scale cannot drift \
+        between them; held-out tracks {:.3} px, without it {:.3} px",
         extrinsics.held_out_error_px, extrinsics.held_out_error_off_px
     )
 }
