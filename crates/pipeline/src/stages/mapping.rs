@@ -695,6 +695,8 @@ mod tests {
                 split: None,
                 error_off_px: 1.0,
                 error_px: 1.0,
+                held_out_change: None,
+                unconstrained: Vec::new(),
                 limit: None,
             }),
             reconstruction: model,

@@ -35,7 +35,7 @@ pub struct ExtrinsicsReport {
     /// The reason for the choice, in one sentence.
     pub reason: String,
     /// With soft: standard deviation of each coordinate of the centre, as a fraction of the
-    /// baseline.
+    /// baseline; the largest of a camera.
     pub sigma_translation: Option<f64>,
     /// With soft: standard deviation of each component of the rotation vector, in degrees.
     pub sigma_rotation_deg: Option<f64>,
@@ -43,6 +43,13 @@ pub struct ExtrinsicsReport {
     pub held_out_error_off_px: f64,
     /// Reprojection error of held-out tracks with the chosen constraint, in pixels.
     pub held_out_error_px: f64,
+    /// Standard deviation of the relative change from the one error to the other, over parts of the
+    /// drive.
+    #[serde(default)]
+    pub held_out_change_sd: Option<f64>,
+    /// Folders of the cameras that permit no constraint although others do.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub unconstrained: Vec<String>,
     /// Image pairs of one frame whose relative pose contradicts the extrinsics, both in the model
     /// and by their own matches.
     pub bad_pairs: Vec<[String; 2]>,
@@ -88,6 +95,14 @@ pub struct RigCameraReport {
     /// Mean distance in the second half of the drive over that in the first half: 1 without scale
     /// drift.
     pub second_over_first_half: f64,
+    /// With a soft constraint: standard deviation of each coordinate of the centre, as a fraction
+    /// of the baseline.
+    #[serde(default)]
+    pub sigma_translation: Option<f64>,
+    /// With a soft constraint: standard deviation of each component of the rotation vector, in
+    /// degrees.
+    #[serde(default)]
+    pub sigma_rotation_deg: Option<f64>,
 }
 
 /// λ of Huang, Elhashash & Qin 2022 (Eq. 2), which depends on the unit of length.
@@ -176,7 +191,9 @@ fn uncalibrated_camera(
 /// Statistics of a camera with estimated extrinsics, over the frames that they constrain.
 fn calibrated_camera(model: &Reconstruction, camera: &CalibratedCamera) -> Option<RigCameraReport> {
     let cameras = [camera.sensor_pair.reference, camera.sensor_pair.other];
-    Some(camera_report(model, cameras, camera.num_referenced_images, &camera.statistics?))
+    let report = camera_report(model, cameras, camera.num_referenced_images, &camera.statistics?);
+    let (sigma_translation, sigma_rotation_deg) = sigmas(Some(camera.constraint)).unzip();
+    Some(RigCameraReport { sigma_translation, sigma_rotation_deg, ..report })
 }
 
 fn camera_report(
@@ -194,6 +211,19 @@ fn camera_report(
         relative_translation_rms: statistics.rms_translation / statistics.mean_baseline,
         rotation_rms_deg: statistics.rms_rotation_rad.to_degrees(),
         second_over_first_half: statistics.second_over_first_half,
+        sigma_translation: None,
+        sigma_rotation_deg: None,
+    }
+}
+
+/// The standard deviations of a soft constraint: of the centre in baselines, and of the rotation in
+/// degrees.
+fn sigmas(constraint: Option<RigConstraint>) -> Option<(f64, f64)> {
+    match constraint? {
+        RigConstraint::Soft { sigma_translation, sigma_rotation_rad } => {
+            Some((sigma_translation, sigma_rotation_rad.to_degrees()))
+        }
+        RigConstraint::Rigid => None,
     }
 }
 
@@ -204,12 +234,7 @@ fn extrinsics_report(
 ) -> ExtrinsicsReport {
     let CalibratedRig { constraint, error_off_px, error_px, limit, .. } = *rig;
     let name = |image| model.image(image).name.clone();
-    let sigmas = match constraint {
-        Some(RigConstraint::Soft { sigma_translation, sigma_rotation_rad, .. }) => {
-            Some((sigma_translation, sigma_rotation_rad.to_degrees()))
-        }
-        Some(RigConstraint::Rigid) | None => None,
-    };
+    let (sigma_translation, sigma_rotation_deg) = sigmas(constraint).unzip();
     let errors = format!("{error_off_px:.3} px without and {error_px:.3} px with it");
     let reason = match (mode, constraint) {
         (RigMode::Auto, None) => {
@@ -224,10 +249,12 @@ fn extrinsics_report(
     ExtrinsicsReport {
         chosen: constraint.map(ConstraintKind::from),
         reason,
-        sigma_translation: sigmas.map(|sigmas| sigmas.0),
-        sigma_rotation_deg: sigmas.map(|sigmas| sigmas.1),
+        sigma_translation,
+        sigma_rotation_deg,
         held_out_error_off_px: error_off_px,
         held_out_error_px: error_px,
+        held_out_change_sd: rig.held_out_change.map(|change| change.sd),
+        unconstrained: rig.unconstrained.iter().map(|camera| stream_of(model, *camera)).collect(),
         bad_pairs: rig
             .bad_pairs
             .iter()
