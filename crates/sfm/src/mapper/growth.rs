@@ -114,7 +114,8 @@ impl<'a> Growth<'a> {
         }
     }
 
-    /// Removes the images that do not see what others see; whether there were any. They may be
+    /// Removes the images that their camera cannot have reached between those before and after
+    /// them, and those that do not see what others see; whether there were any. They may be
     /// registered again, now that none misleads another.
     fn remove_contradicted(&mut self) -> bool {
         let Input { graph, options, known_rigs, .. } = self.refiner.input;
@@ -123,11 +124,14 @@ impl<'a> Growth<'a> {
             return false;
         }
         let model = &mut self.refiner.solution.model;
-        let mut is_changed = false;
+        let num_registered = model.num_registered();
+        while let Some(part) = self.next_best_view.part_out_of_reach(model) {
+            part.iter().for_each(|image| model.deregister(*image));
+        }
         while let Some(image) = contradicted(graph, model) {
             model.deregister(image);
-            is_changed = true;
         }
+        let is_changed = model.num_registered() < num_registered;
         if is_changed {
             filter_all_points(model, &options.filter);
         }

@@ -88,6 +88,11 @@ impl NextBestView {
         }
     }
 
+    /// A part of a drive that is out of reach of the parts before and after it.
+    pub(crate) fn part_out_of_reach(&self, model: &Reconstruction) -> Option<Vec<ImageId>> {
+        self.timelines.part_out_of_reach(model)
+    }
+
     /// The frames that are registered as a whole.
     pub(crate) fn frames(&self) -> &KnownFrames {
         &self.frames
