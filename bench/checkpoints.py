@@ -4,7 +4,7 @@
     bench/checkpoints.py [--program target/release/tiepoint] [--kills 40] [--seed 0] [--frames 60]
 
 A rendered drive of two cameras is mapped once without a kill. Then runs of `map` get SIGKILL after
-a drawn time of up to a quarter of that; the next run goes on, until one ends before its kill. Each
+a drawn time of up to 0.6 of that; the next run goes on, until one ends before its kill. Each
 chain must end with the same models, points and rig, byte for byte. Chains are begun until there
 were as many kills as wanted. Printed: kills, runs that went on from a checkpoint, faults."""
 
@@ -61,7 +61,7 @@ def main():
                 [program, *words], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
             )
             try:
-                out, _ = process.communicate(timeout=draw.uniform(0.02, 0.25) * seconds)
+                out, _ = process.communicate(timeout=draw.uniform(0.02, 0.6) * seconds)
             except subprocess.TimeoutExpired:
                 process.kill()
                 out, _ = process.communicate()
