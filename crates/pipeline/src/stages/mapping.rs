@@ -1,6 +1,7 @@
 //! Stage 3: incremental mapping from the database to `sparse/`, `points.ply`, `rig.json` and the
 //! report.
 
+use std::cell::RefCell;
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::ControlFlow;
 use std::path::PathBuf;
@@ -25,6 +26,7 @@ use tiepoint_sfm::{
 };
 
 use crate::stages::calibration_priors::{calibrations_of, set_calibration_priors};
+use crate::stages::checkpoint::{CheckpointFile, key_of};
 use crate::stages::colors::color_points;
 use crate::stages::foreign_database::require_descriptors;
 use crate::stages::input_model::{InputModel, OpenedModel};
@@ -96,6 +98,7 @@ pub fn map(
 ) -> Result<(), Error> {
     let mut request = MapRequest::new(workspace, map_options)?;
     let recipe = Recipe::new(workspace.fingerprint(Stage::Match)?, request.take_texts());
+    let key = key_of(&recipe);
     let stage = StageRequest { stage: Stage::Map, recipe, redo, inputs: None };
     workspace.run_stage(stage, watch, |run| {
         // Foreign files are detected before mapping. Old models stay until the new ones are
@@ -104,9 +107,12 @@ pub fn map(
         run.workspace.folder.ensure_writable(replaced.iter().map(String::as_str))?;
         let input = request.read(run)?;
         request.check(run.workspace, &input)?;
-        let models = request.map(run, &input)?;
-        request.finish(run, &input, models, replaced)
-    })
+        let (models, notes) = request.map(run, &input, key)?;
+        request.finish(run, &input, models, notes, replaced)
+    })?;
+    // What cannot be removed is not used.
+    let _ = workspace.folder.remove_state();
+    Ok(())
 }
 
 /// What a mapping is asked to do, with what the workspace decides.
@@ -213,8 +219,7 @@ impl<'a> MapRequest<'a> {
             set_calibration_priors(&mut scene, &calibrations, distortion, sigma_px);
         }
         scene.calibrated.extend(constant);
-        let total = scene.images().filter(|(_, image)| !image.keypoints.is_empty()).count();
-        run.began(total, 0)?;
+        run.began(num_images(&scene), 0)?;
         Ok(MapInput { scene, graph, known_rigs })
     }
 
@@ -228,8 +233,14 @@ impl<'a> MapRequest<'a> {
         check_times(workspace, scene, self.given)
     }
 
-    /// Runs the mapper, and colours the points.
-    fn map(&self, run: &mut StageRun, input: &MapInput) -> Result<Vec<MappedModel>, Error> {
+    /// Runs the mapper, and colours the points. `key` is that of the run's checkpoints; returns
+    /// also what was noted of these.
+    fn map(
+        &self,
+        run: &mut StageRun,
+        input: &MapInput,
+        key: [u8; 32],
+    ) -> Result<(Vec<MappedModel>, Vec<String>), Error> {
         let MapInput { scene, graph, known_rigs } = input;
         let name = |id| scene.image(id).name.as_str();
         let database = Database::open(&run.workspace.database())?;
@@ -251,11 +262,20 @@ impl<'a> MapRequest<'a> {
             )
         };
         let watch = &mut *run.watch;
+        let (pending, mut notes) = (RefCell::new(Vec::<String>::new()), Vec::new());
         let mut notified = |event: &sfm::Event| {
+            for what in pending.take() {
+                watch(&Event::Noted { what: &what })?;
+                notes.push(what);
+            }
             named_event(event, &name).map_or(ControlFlow::Continue(()), |event| watch(&event))
         };
-        let mut mapper =
-            Mapper::new(graph, scene).descriptors(&mut descriptors).watch(&mut notified);
+        let folder = &run.workspace.folder;
+        let mut checkpoints = CheckpointFile::new(folder, key, num_images(scene), &pending);
+        let mut mapper = Mapper::new(graph, scene)
+            .descriptors(&mut descriptors)
+            .watch(&mut notified)
+            .checkpoints(&mut checkpoints);
         if let Some(rigs) = known_rigs {
             mapper = mapper.known_rigs(rigs);
         }
@@ -275,8 +295,12 @@ impl<'a> MapRequest<'a> {
             return Err(error.into());
         }
         database.close()?;
+        for what in pending.take() {
+            emit(run.watch, &Event::Noted { what: &what })?;
+            notes.push(what);
+        }
         color(run, &mut models)?;
-        Ok(models)
+        Ok((models, notes))
     }
 
     /// Stages the models with their scale, and writes the rigs into the database.
@@ -285,6 +309,7 @@ impl<'a> MapRequest<'a> {
         run: &mut StageRun,
         input: &MapInput,
         mut models: Vec<MappedModel>,
+        mut notes: Vec<String>,
         replaced: Vec<String>,
     ) -> Result<StageResult, Error> {
         let scales: Vec<Option<ScaleReport>> = match self.given.baseline_m {
@@ -297,14 +322,13 @@ impl<'a> MapRequest<'a> {
         let is_known = input.known_rigs.is_some();
         let reports = self.reports(&models, scales, is_known);
         let may_be_rig = self.options.rig != RigMode::Off && !is_known;
-        let notes: Vec<String> = match models.first() {
-            Some(first) if may_be_rig && reports.iter().all(|report| report.rig.is_none()) => {
-                why_no_rig(&first.reconstruction).into_iter().collect()
-            }
-            _ => Vec::new(),
-        };
-        for what in &notes {
-            run.emit(&Event::Noted { what })?;
+        if let Some(first) = models.first()
+            && may_be_rig
+            && reports.iter().all(|report| report.rig.is_none())
+            && let Some(what) = why_no_rig(&first.reconstruction)
+        {
+            run.emit(&Event::Noted { what: &what })?;
+            notes.push(what);
         }
         let of_models = models.iter().map(|model| &model.reconstruction).zip(&reports);
         let unregistered = unregistered_images(&input.graph, &models, &self.options);
@@ -354,6 +378,11 @@ impl<'a> MapRequest<'a> {
         };
         models.iter().zip(scales).enumerate().map(report).collect()
     }
+}
+
+/// Number of images that may get a pose.
+fn num_images(scene: &Reconstruction) -> usize {
+    scene.images().filter(|(_, image)| !image.keypoints.is_empty()).count()
 }
 
 /// Colours the points of models from the photos. A database of another program may come without

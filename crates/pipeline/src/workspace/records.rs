@@ -50,7 +50,7 @@ impl Recipe {
     }
 
     /// Fingerprint of the stage, which is the input of the next one.
-    fn fingerprint(&self) -> String {
+    pub(crate) fn fingerprint(&self) -> String {
         let mut hash = blake3::Hasher::new();
         let words = self.options.iter().flat_map(|(name, value)| [name, value]);
         for word in std::iter::once(&self.input).chain(words) {

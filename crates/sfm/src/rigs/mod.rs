@@ -18,6 +18,7 @@ mod pairs;
 mod paper;
 mod rematch;
 mod rigid;
+mod saved;
 mod sensor_pair;
 mod sigma_selection;
 mod solution;

@@ -16,8 +16,8 @@ use std::fs::{self, File, OpenOptions};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
-pub use change::check_fault;
 use change::retry_while_denied;
+pub use change::{check_fault, is_watched};
 pub use folder::Folder;
 pub use operation::Operation;
 pub use paths::folder_of;
