@@ -467,11 +467,11 @@ fn devices_links_and_modes_stay_what_they_are() {
     let mode = fs::metadata(dir.join("deep/real.ply")).unwrap().mode();
     assert_eq!(mode & 0o777, 0o600);
     // What reads the pipe gets the file alone.
-    let piped = tiepoint_in(dir, "export {}/ws --to tum -o /dev/stdout").done();
-    fs::write(dir.join("piped.tum"), piped.stdout()).unwrap();
-    tiepoint_in(dir, "export {}/ws --to tum -o {}/file.tum").done();
+    let piped = tiepoint_in(dir, "export {}/ws --to kitti -o /dev/stdout").done();
+    fs::write(dir.join("piped.txt"), piped.stdout()).unwrap();
+    tiepoint_in(dir, "export {}/ws --to kitti -o {}/file.txt").done();
     let read = |name: &str| fs::read(dir.join(name)).unwrap();
-    assert!(read("piped.tum") == read("file.tum"), "{}", piped.stdout());
+    assert!(read("piped.txt") == read("file.txt"), "{}", piped.stdout());
 }
 
 #[test]

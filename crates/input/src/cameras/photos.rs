@@ -176,11 +176,12 @@ impl Photos {
             by_stem.entry(key).or_default().push(name);
         }
         let pairs = |groups: Vec<Vec<&str>>, what: &str| {
-            let pairs: Vec<String> = groups
+            let mut pairs: Vec<String> = groups
                 .into_iter()
                 .filter(|names| names.len() > 1)
                 .map(|names| format!("{} and {}", names[0], names[1]))
                 .collect();
+            pairs.sort_unstable();
             let shown = first_names(&pairs.iter().map(String::as_str).collect::<Vec<_>>());
             let count = pairs.len();
             (count > 0).then(|| {

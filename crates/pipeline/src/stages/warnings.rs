@@ -29,10 +29,13 @@ const MIN_IMAGES_OF_CAMERA: usize = 6;
 /// 4.9e-4 where the poses are wrong by 3 % and more: double would miss some.
 const MIN_RADIAL_RESIDUAL: f64 = 1.5e-4;
 /// A lens that stretches more where its outermost observations are, or compresses more, is none.
-/// The widest rectilinear action cameras have a barrel distortion of a third.
+/// The widest rectilinear action cameras have a barrel distortion of a third. In 163 models of
+/// drives and photos, 0.99 to 1.29: half would name all of them, double none either.
 const MAX_STRETCH: f64 = 2.0;
 /// Below this focal length relative to the larger side, a lens with residuals is likely a fisheye:
-/// a field of view of 80°.
+/// a field of view of 80°. It decides which model a sentence names first. Rendered fisheyes with
+/// views of 123°, 98° and 69° across the larger side have 0.28, 0.33 and 0.99 as SIMPLE_RADIAL:
+/// with half, that of 98° is told OPENCV first, and with double that of 69° OPENCV_FISHEYE alone.
 const FISHEYE_FOCAL: f64 = 0.6;
 /// Largest ratio of a focal length and that of EXIF or of the user. EXIF rounds to a millimetre of
 /// 24 (2 %), refers to a diagonal or a width (5 %), and leaves out the crop of a stabiliser (10 %).
@@ -50,7 +53,8 @@ const MIN_OBSERVATIONS: usize = 15;
 /// steps of a hundredth and noise of 0.5 px have 1.5: such photos are warned of although they
 /// moved.
 const MAX_TURNING_RATIO: f64 = 2.0;
-/// Smallest share of observations behind a camera.
+/// Smallest share of observations behind a camera. 163 models of drives and photos have none, so
+/// that half and double change nothing on them.
 const MIN_SHARE_BEHIND: f64 = 0.001;
 /// A model with fewer images is not another scene.
 const MIN_IMAGES_OF_SCENE: usize = 3;
