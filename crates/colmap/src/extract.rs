@@ -134,14 +134,8 @@ pub fn extract(
         kept.retain(|other| *other != index);
         skip(&folder.images()[index].name, &reason, watch)?;
     }
-    emit(
-        watch,
-        &Event::StageBegan {
-            stage: Stage::Features,
-            total: pending.len() + kept.len(),
-            done: kept.len(),
-        },
-    )?;
+    let (total, done) = (pending.len() + kept.len(), kept.len());
+    emit(watch, &Event::StageBegan { stage: Stage::Features, total, done })?;
     let mut cameras = Cameras::new(&database, options)?;
     let infos: Vec<_> = pending.par_iter().map(|&index| folder.info(index)).collect();
     let mut tasks: Vec<Task> = Vec::new();

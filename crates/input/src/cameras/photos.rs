@@ -155,8 +155,8 @@ impl Photos {
         (!names.is_empty()).then(|| {
             format!(
                 "{} photos say that they are panoramas, which have no lens: {shown}; give \
-                `features.camera_model` EQUIRECTANGULAR if all photos are panoramas all around, and \
-                take them out of the folder if not",
+                `features.camera_model` EQUIRECTANGULAR if all photos are panoramas all around, \
+                and take them out of the folder if not",
                 names.len()
             )
         })
