@@ -251,6 +251,8 @@ impl Survey<'_> {
         let mut notes = self.photos.notes.clone();
         notes.extend(self.photos.folder.notes_on_bits());
         notes.extend(self.photos.notes_on_times(&self.usable, &self.times));
+        notes.extend(self.photos.note_on_panoramas(&self.usable, &self.cameras));
+        notes.extend(self.photos.notes_on_copies(&self.usable));
         notes
     }
 

@@ -71,6 +71,10 @@ pub struct SplitReport {
     pub pairs_matched_again: usize,
 }
 
+/// Smallest baseline relative to the distance of the cameras from the origin: rounding errors are a
+/// millionth of it.
+const MIN_BASELINE: f64 = 1e-9;
+
 /// Statistics of the relative pose of two cameras over all frames.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(expecting = "an object")]
@@ -93,7 +97,7 @@ pub struct RigCameraReport {
     /// Root mean square angle between the relative rotations and their mean, in degrees.
     pub rotation_rms_deg: f64,
     /// Mean distance in the second half of the drive over that in the first half: 1 without scale
-    /// drift.
+    /// drift, and without a baseline.
     pub second_over_first_half: f64,
     /// With a soft constraint: standard deviation of each coordinate of the centre, as a fraction
     /// of the baseline.
@@ -202,15 +206,20 @@ fn camera_report(
     pairs: usize,
     statistics: &RelativePoseStatistics,
 ) -> RigCameraReport {
+    // Cameras with one centre, as of a known rig, have baselines of rounding errors.
+    let extent = model.registered().map(|(_, _, pose)| pose.origin_in_a().norm());
+    let has_baseline = statistics.mean_baseline > MIN_BASELINE * extent.fold(0.0, f64::max);
+    let to_baseline = |value: f64, without: f64| if has_baseline { value } else { without };
+    let mean = statistics.mean_baseline;
     RigCameraReport {
         names: cameras.map(|camera| stream_of(model, camera)),
         pairs,
         reconstructed_pairs: statistics.count,
-        median_baseline: statistics.median_baseline,
-        relative_baseline_sd: statistics.sd_baseline / statistics.mean_baseline,
-        relative_translation_rms: statistics.rms_translation / statistics.mean_baseline,
+        median_baseline: to_baseline(statistics.median_baseline, 0.0),
+        relative_baseline_sd: to_baseline(statistics.sd_baseline / mean, 0.0),
+        relative_translation_rms: to_baseline(statistics.rms_translation / mean, 0.0),
         rotation_rms_deg: statistics.rms_rotation_rad.to_degrees(),
-        second_over_first_half: statistics.second_over_first_half,
+        second_over_first_half: to_baseline(statistics.second_over_first_half, 1.0),
         sigma_translation: None,
         sigma_rotation_deg: None,
     }
@@ -329,6 +338,10 @@ fn paper_report(
 
 #[cfg(test)]
 mod tests {
+    use tiepoint_sfm::geometry::nalgebra::{UnitQuaternion, Vector3};
+    use tiepoint_sfm::geometry::{CameraModelKind, Intrinsics, Rigid3};
+    use tiepoint_sfm::scene::{Camera, Image};
+
     use super::*;
 
     #[test]
@@ -353,5 +366,34 @@ mod tests {
         distinct.sort_unstable();
         distinct.dedup();
         assert_eq!(distinct.len(), limits.len());
+    }
+
+    /// A known rig whose cameras have one centre, a hundred units from the origin: 1e-9 of that is
+    /// 1e-7.
+    #[test]
+    fn cameras_with_one_centre_have_finite_statistics() {
+        let mut model = Reconstruction::default();
+        let intrinsics = Intrinsics::centred(CameraModelKind::Pinhole, 500.0, 640, 480);
+        let camera = Camera { intrinsics, width: 640, height: 480, has_focal_prior: false };
+        let cameras = [0, 1].map(|_| model.add_camera(camera));
+        for camera in cameras {
+            let image = model.add_image(Image::new(format!("{camera:?}/1.png"), camera, vec![]));
+            let translation = 100.0 * Vector3::x();
+            model.register(image, Rigid3::new(UnitQuaternion::identity(), translation));
+        }
+        for (mean_baseline, expected) in [(0.0, 0.0), (0.9e-7, 0.0), (1.1e-7, 1.0)] {
+            let statistics = RelativePoseStatistics {
+                count: 2,
+                median_baseline: mean_baseline,
+                mean_baseline,
+                sd_baseline: mean_baseline,
+                rms_translation: mean_baseline,
+                rms_rotation_rad: 0.0,
+                second_over_first_half: mean_baseline / mean_baseline,
+            };
+            let report = camera_report(&model, cameras, 2, &statistics);
+            assert_eq!(report.relative_translation_rms, expected);
+            assert_eq!(report.second_over_first_half, 1.0);
+        }
     }
 }
