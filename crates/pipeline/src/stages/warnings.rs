@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use tiepoint_sfm::RigMode;
 use tiepoint_sfm::diagnostics::{self, ImageScale};
 use tiepoint_sfm::geometry::numeric::median;
 use tiepoint_sfm::scene::{CameraId, ImageId, Reconstruction};
@@ -183,7 +184,9 @@ impl Place<'_> {
     }
 
     fn rig(&self, report: &ModelReport) -> Vec<Warning> {
-        let cameras = report.rig.iter().flat_map(|rig| &rig.cameras);
+        // Without a rig no clock is estimated: frames are images up to half an interval apart.
+        let rig = report.rig.iter().filter(|rig| rig.mode != RigMode::Off.name());
+        let cameras = rig.flat_map(|rig| &rig.cameras);
         let scattered = cameras.filter(|camera| camera.relative_translation_rms >= MIN_RIG_SCATTER);
         let warning = |camera: &RigCameraReport| Warning::RigScatter {
             model: self.path(),
@@ -512,6 +515,9 @@ mod tests {
             let found = warnings_of_models(&model, [(&model, &report)], Vec::new());
             let expected = Warning::RigScatter { model: String::new(), cameras: names, relative };
             assert_eq!(found, if is_silent { vec![] } else { vec![expected] });
+            let rig = report.rig.map(|rig| RigReport { mode: "off".to_owned(), ..rig });
+            let report = ModelReport { rig, ..report };
+            assert_eq!(warnings_of_models(&model, [(&model, &report)], Vec::new()), []);
         }
     }
 
