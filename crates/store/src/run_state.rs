@@ -1,6 +1,6 @@
 //! The state of an unfinished run, in a file of its own beside the results.
 
-use std::io::Read;
+use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
 use crate::disk;
@@ -16,9 +16,13 @@ impl OutputFolder {
     ///
     /// # Errors
     ///
-    /// The file cannot be written; then the earlier state stays.
-    pub fn keep_state(&self, content: &[u8]) -> Result<(), Error> {
+    /// The file cannot be written; then the earlier state stays. A file of that name that does not
+    /// begin with `magic` is somebody else's, and stays, too.
+    pub fn keep_state(&self, content: &[u8], magic: &[u8]) -> Result<(), Error> {
         let failed = Error::output(&self.root.join(STATE));
+        if self.is_foreign(magic)? {
+            return Err(failed(io::ErrorKind::AlreadyExists.into()));
+        }
         let part = part();
         let written = self
             .root
@@ -33,21 +37,39 @@ impl OutputFolder {
         })
     }
 
-    /// The state that an unfinished run kept; `None` without one, and for what is no file.
+    /// The state that an unfinished run kept; `None` without one, and for what is no file or does
+    /// not begin with `magic`.
     ///
     /// # Errors
     ///
     /// The file cannot be read.
-    pub fn state(&self) -> Result<Option<Vec<u8>>, Error> {
+    pub fn state(&self, magic: &[u8]) -> Result<Option<Vec<u8>>, Error> {
         let failed = || Error::unreadable(&self.root.join(STATE));
         let found = self.root.metadata(STATE).map_err(failed())?;
         if !found.is_some_and(|found| found.is_file()) {
             return Ok(None);
         }
-        let mut content = Vec::new();
         let mut file = self.root.open_file(STATE).map_err(failed())?;
+        let mut content = Vec::new();
+        file.by_ref().take(magic.len() as u64).read_to_end(&mut content).map_err(failed())?;
+        if content != magic {
+            return Ok(None);
+        }
         file.read_to_end(&mut content).map_err(failed())?;
         Ok(Some(content))
+    }
+
+    /// Whether there is a file of that name that does not begin with `magic`.
+    fn is_foreign(&self, magic: &[u8]) -> Result<bool, Error> {
+        let failed = || Error::unreadable(&self.root.join(STATE));
+        let found = self.root.metadata(STATE).map_err(failed())?;
+        if !found.is_some_and(|found| found.is_file()) {
+            return Ok(false);
+        }
+        let file = self.root.open_file(STATE).map_err(failed())?;
+        let mut first = Vec::new();
+        file.take(magic.len() as u64).read_to_end(&mut first).map_err(failed())?;
+        Ok(first != magic)
     }
 
     /// Removes the state of a run that is finished, and what a killed one left of it.
@@ -55,7 +77,10 @@ impl OutputFolder {
     /// # Errors
     ///
     /// The file cannot be removed.
-    pub fn remove_state(&self) -> Result<(), Error> {
+    pub fn remove_state(&self, magic: &[u8]) -> Result<(), Error> {
+        if self.is_foreign(magic)? {
+            return Ok(());
+        }
         for name in [part(), PathBuf::from(STATE)] {
             if self.root.has(&name) {
                 self.root.remove_file(&name).map_err(Error::output(&self.root.join(STATE)))?;
@@ -76,24 +101,37 @@ mod tests {
 
     use super::*;
 
+    const MAGIC: &[u8] = b"s ";
+
     #[test]
     fn a_state_is_replaced_read_and_removed() {
         let dir = tempfile::tempdir().unwrap();
         let folder = OutputFolder::open(dir.path()).unwrap();
-        assert_eq!(folder.state().unwrap(), None);
-        folder.keep_state(b"longer").unwrap();
+        assert_eq!(folder.state(MAGIC).unwrap(), None);
+        folder.keep_state(b"s longer", MAGIC).unwrap();
         // A killed run leaves a part.
         fs::write(dir.path().join(part()), b"half").unwrap();
-        folder.keep_state(b"new").unwrap();
-        assert_eq!(folder.state().unwrap().unwrap(), b"new");
+        folder.keep_state(b"s new", MAGIC).unwrap();
+        assert_eq!(folder.state(MAGIC).unwrap().unwrap(), b"s new");
         drop(folder);
         let folder = OutputFolder::open(dir.path()).unwrap();
-        assert_eq!(folder.state().unwrap().unwrap(), b"new");
+        assert_eq!(folder.state(MAGIC).unwrap().unwrap(), b"s new");
         fs::write(dir.path().join(part()), b"half").unwrap();
-        folder.remove_state().unwrap();
-        folder.remove_state().unwrap();
-        assert_eq!(folder.state().unwrap(), None);
+        folder.remove_state(MAGIC).unwrap();
+        folder.remove_state(MAGIC).unwrap();
+        assert_eq!(folder.state(MAGIC).unwrap(), None);
         assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 0);
+    }
+
+    #[test]
+    fn a_file_of_somebody_else_stays() {
+        let dir = tempfile::tempdir().unwrap();
+        let folder = OutputFolder::open(dir.path()).unwrap();
+        fs::write(dir.path().join(STATE), "mine").unwrap();
+        assert_eq!(folder.state(MAGIC).unwrap(), None);
+        assert!(folder.keep_state(b"s state", MAGIC).is_err());
+        folder.remove_state(MAGIC).unwrap();
+        assert_eq!(fs::read(dir.path().join(STATE)).unwrap(), b"mine");
     }
 
     #[cfg(unix)]
@@ -107,15 +145,15 @@ mod tests {
         for name in [PathBuf::from(STATE), part()] {
             std::os::unix::fs::symlink("../mine", root.join(name)).unwrap();
         }
-        assert_eq!(folder.state().unwrap(), None);
-        folder.keep_state(b"state").unwrap();
-        assert_eq!(folder.state().unwrap().unwrap(), b"state");
+        assert_eq!(folder.state(MAGIC).unwrap(), None);
+        folder.keep_state(b"s state", MAGIC).unwrap();
+        assert_eq!(folder.state(MAGIC).unwrap().unwrap(), b"s state");
         assert_eq!(fs::read(&mine).unwrap(), b"mine");
         // A folder of that name stays.
-        folder.remove_state().unwrap();
+        folder.remove_state(MAGIC).unwrap();
         fs::create_dir(root.join(STATE)).unwrap();
-        assert_eq!(folder.state().unwrap(), None);
-        assert!(folder.keep_state(b"state").is_err());
+        assert_eq!(folder.state(MAGIC).unwrap(), None);
+        assert!(folder.keep_state(b"s state", MAGIC).is_err());
         assert_eq!(fs::read_dir(&root).unwrap().count(), 1);
     }
 }

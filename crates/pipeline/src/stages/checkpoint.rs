@@ -1,18 +1,17 @@
 //! Checkpoints of the mapper in the workspace: a run that was killed goes on from the last one.
 //!
-//! The file begins with the key of its run, which is a hash of the recipe of the stage (the input
-//! and the options) and of the version of the program, and with the hash of the state.
+//! The file begins with the key of its run, which is a hash of the version of the
+//! program, the recipe of the stage and what the mapper is given, and with the hash of the state.
 
 use std::cell::RefCell;
 use std::time::{Duration, Instant};
 
 use tiepoint_sfm::CheckpointStore;
+use tiepoint_sfm::scene::{CorrespondenceGraph, Image, Keypoint, Match, Reconstruction};
 use tiepoint_store::{Error as StoreError, OutputFolder, disk};
 
-use crate::workspace::records::Recipe;
-
 /// First bytes of the file.
-const MAGIC: &[u8] = b"tiepoint mapper state 1\n";
+pub(crate) const MAGIC: &[u8] = b"tiepoint mapper state 1\n";
 const HASH_BYTES: usize = 32;
 /// The time between two checkpoints is this multiple of what one takes, so that all of them take 2
 /// % of the run, and at least the minimum.
@@ -34,10 +33,33 @@ pub(crate) struct CheckpointFile<'a> {
     has_failed: bool,
 }
 
-/// The key of a run.
-pub(crate) fn key_of(recipe: &Recipe) -> [u8; HASH_BYTES] {
+/// The key of a run: the version of the program, the options, and what the mapper is given. The
+/// fingerprint of the matches alone would not tell of a database that was changed since.
+pub(crate) fn key_of(
+    recipe: &str,
+    scene: &Reconstruction,
+    graph: &CorrespondenceGraph,
+) -> [u8; HASH_BYTES] {
     let mut hash = blake3::Hasher::new();
-    hash.update(env!("CARGO_PKG_VERSION").as_bytes()).update(recipe.fingerprint().as_bytes());
+    hash.update(env!("CARGO_PKG_VERSION").as_bytes()).update(recipe.as_bytes());
+    for (id, camera) in scene.cameras() {
+        hash.update(format!("{id:?} {camera:?}").as_bytes());
+    }
+    for (id, image) in scene.images() {
+        let Image { name, camera, stream, time_s, keypoints, .. } = image;
+        hash.update(format!("{id:?} {name:?} {camera:?} {stream:?} {time_s:?}").as_bytes());
+        for Keypoint { pixel, scale_px } in &**keypoints {
+            for number in [pixel.x, pixel.y, f64::from(*scale_px)] {
+                hash.update(&number.to_le_bytes());
+            }
+        }
+    }
+    for (pair, two_view) in graph.pairs() {
+        hash.update(format!("{pair:?} {:?}", two_view.kind).as_bytes());
+        for Match { a, b } in &two_view.matches {
+            hash.update(&a.to_le_bytes()).update(&b.to_le_bytes());
+        }
+    }
     *hash.finalize().as_bytes()
 }
 
@@ -75,13 +97,13 @@ impl<'a> CheckpointFile<'a> {
 
     fn write(&self, state: &[u8]) -> Result<(), StoreError> {
         let hash = blake3::hash(state);
-        self.folder.keep_state(&[MAGIC, &self.key, hash.as_bytes(), state].concat())
+        self.folder.keep_state(&[MAGIC, &self.key, hash.as_bytes(), state].concat(), MAGIC)
     }
 }
 
 impl CheckpointStore for CheckpointFile<'_> {
     fn last(&mut self) -> Option<Vec<u8>> {
-        let found = match self.folder.state() {
+        let found = match self.folder.state(MAGIC) {
             Ok(None) => return None,
             Ok(Some(content)) => self.state_of(content).map_err(str::to_owned),
             Err(error) => Err(error.to_string()),

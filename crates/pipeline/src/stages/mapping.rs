@@ -26,7 +26,7 @@ use tiepoint_sfm::{
 };
 
 use crate::stages::calibration_priors::{calibrations_of, set_calibration_priors};
-use crate::stages::checkpoint::{CheckpointFile, key_of};
+use crate::stages::checkpoint::{CheckpointFile, MAGIC, key_of};
 use crate::stages::colors::color_points;
 use crate::stages::foreign_database::require_descriptors;
 use crate::stages::input_model::{InputModel, OpenedModel};
@@ -98,7 +98,7 @@ pub fn map(
 ) -> Result<(), Error> {
     let mut request = MapRequest::new(workspace, map_options)?;
     let recipe = Recipe::new(workspace.fingerprint(Stage::Match)?, request.take_texts());
-    let key = key_of(&recipe);
+    let fingerprint = recipe.fingerprint();
     let stage = StageRequest { stage: Stage::Map, recipe, redo, inputs: None };
     workspace.run_stage(stage, watch, |run| {
         // Foreign files are detected before mapping. Old models stay until the new ones are
@@ -107,11 +107,12 @@ pub fn map(
         run.workspace.folder.ensure_writable(replaced.iter().map(String::as_str))?;
         let input = request.read(run)?;
         request.check(run.workspace, &input)?;
+        let key = key_of(&fingerprint, &input.scene, &input.graph);
         let (models, notes) = request.map(run, &input, key)?;
         request.finish(run, &input, models, notes, replaced)
     })?;
     // What cannot be removed is not used.
-    let _ = workspace.folder.remove_state();
+    let _ = workspace.folder.remove_state(MAGIC);
     Ok(())
 }
 

@@ -181,7 +181,9 @@ impl<'a> Growth<'a> {
         }
         let model = &mut self.refiner.solution.model;
         let num_registered = model.num_registered();
-        while let Some(part) = self.next_best_view.part_out_of_reach(model) {
+        // Poses that were given are no result of a growth.
+        let is_new = self.refiner.existing.is_none();
+        while is_new && let Some(part) = self.next_best_view.part_out_of_reach(model) {
             part.iter().for_each(|image| model.deregister(*image));
         }
         while let Some(image) = contradicted(graph, model) {

@@ -165,8 +165,12 @@ impl Timelines {
 
     /// A part of a drive that is out of reach of the images before and after it, although these are
     /// in reach of each other: at most [`MAX_SEARCH`] images of a camera, as at the wrong copy of a
-    /// place.
-    pub(crate) fn part_out_of_reach(&self, model: &Reconstruction) -> Option<Vec<ImageId>> {
+    /// place. `may_be` tells which images may be in it.
+    pub(crate) fn part_out_of_reach(
+        &self,
+        model: &Reconstruction,
+        may_be: &dyn Fn(ImageId) -> bool,
+    ) -> Option<Vec<ImageId>> {
         self.cameras.values().find_map(|images| {
             let place = |image: &(f64, ImageId)| Some((image.1, Place::of(model, image)?));
             let posed: Vec<(ImageId, Place)> = images.iter().filter_map(place).collect();
@@ -183,7 +187,9 @@ impl Timelines {
                 let is_jump = |one: usize| contradictions(&usual, one, one + 1) == [true; 2];
                 let last = (posed.len() - 2).min(before + MAX_SEARCH + 1);
                 let is_after = |after: &usize| {
-                    is_jump(after - 1) && contradictions(&usual, before, *after) == [false; 2]
+                    is_jump(after - 1)
+                        && contradictions(&usual, before, *after) == [false; 2]
+                        && posed[before + 1..*after].iter().all(|(image, _)| may_be(*image))
                 };
                 let after = (before + 2..=last).find(is_after).filter(|_| is_jump(before))?;
                 Some(posed[before + 1..after].iter().map(|(image, _)| *image).collect())
@@ -366,7 +372,7 @@ mod tests {
             }
             let timelines = Timelines::new(&model);
             let mut found = Vec::new();
-            while let Some(part) = timelines.part_out_of_reach(&model) {
+            while let Some(part) = timelines.part_out_of_reach(&model, &|_| true) {
                 part.iter().for_each(|image| model.deregister(*image));
                 let place = |image| images.iter().position(|other| *other == image).unwrap();
                 found.extend(part.into_iter().map(place));
@@ -384,6 +390,6 @@ mod tests {
         for (place, image) in images.iter().enumerate() {
             model.register(*image, at(place.min(12).max(place.saturating_sub(6)) as f64));
         }
-        assert_eq!(Timelines::new(&model).part_out_of_reach(&model), None);
+        assert_eq!(Timelines::new(&model).part_out_of_reach(&model, &|_| true), None);
     }
 }

@@ -116,9 +116,11 @@ impl NextBestView {
         }
     }
 
-    /// A part of a drive that is out of reach of the parts before and after it.
+    /// A part of a drive that is out of reach of the parts before and after it. Images that were
+    /// registered twice are in none: their matches brought them back.
     pub(crate) fn part_out_of_reach(&self, model: &Reconstruction) -> Option<Vec<ImageId>> {
-        self.timelines.part_out_of_reach(model)
+        let is_new = |image| self.registrations.get(&image).is_none_or(|times| *times < 2);
+        self.timelines.part_out_of_reach(model, &is_new)
     }
 
     /// The frames that are registered as a whole.

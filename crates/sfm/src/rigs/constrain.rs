@@ -25,7 +25,7 @@ use std::collections::BTreeSet;
 
 use tiepoint_adjust::AdjustOptions;
 use tiepoint_rig::{Clock, relative_pose_statistics};
-use tiepoint_scene::{ImageId, Reconstruction};
+use tiepoint_scene::{CameraId, ImageId, Reconstruction};
 
 use super::context::{Context, MERGE_ERROR_FACTOR};
 use super::covariance::extrinsics_covariances;
@@ -99,6 +99,8 @@ struct ConstraintSearch {
     held_out_change: Option<HeldOutChange>,
     /// The accepted constraint, if any.
     best: Option<ConstrainedModel>,
+    /// Cameras that permit no constraint although others do.
+    unconstrained: Vec<CameraId>,
     /// Images of repaired splits that had no matches across cameras.
     split_images: BTreeSet<SplitImage>,
     /// Why the constraint is not tighter.
@@ -132,7 +134,8 @@ impl Context<'_> {
                 break;
             }
         }
-        let SigmaSelection { mut best, is_at_floor, split_images, limit } = selection;
+        let SigmaSelection { mut best, is_at_floor, split_images, limit, unconstrained } =
+            selection;
         let mut limit = match (mode, is_at_floor) {
             (RigMode::Rigid, _) | (RigMode::Auto, true) => Some(ConstraintLimit::Unsynchronised),
             (_, true) => Some(ConstraintLimit::Smallest),
@@ -170,6 +173,7 @@ impl Context<'_> {
             error_off_px: comparison.error_off_px,
             held_out_change: best.as_ref().and_then(|best| comparison.change(&best.model)),
             best,
+            unconstrained,
             split_images,
             limit,
         }))
@@ -182,7 +186,9 @@ impl Context<'_> {
         found: ConstraintSearch,
         split: Option<SplitRepair>,
     ) -> Result<CalibratedRig, Error> {
-        let ConstraintSearch { off, error_off_px, held_out_change, best, limit, .. } = found;
+        let ConstraintSearch {
+            off, error_off_px, held_out_change, best, unconstrained, limit, ..
+        } = found;
         let (mut all_extrinsics, mut error_px) = (Vec::new(), error_off_px);
         match best {
             Some(constrained) => {
@@ -225,12 +231,6 @@ impl Context<'_> {
                 statistics: relative_pose_statistics(&poses),
             });
         }
-        let all = sensor_pairs(model).into_iter().filter(|pair| {
-            !cameras.is_empty()
-                && !pair.referenced_images(model).is_empty()
-                && cameras.iter().all(|camera| camera.sensor_pair.other != pair.other)
-        });
-        let unconstrained = all.map(|pair| pair.other).collect();
         Ok(CalibratedRig {
             constraint: loosest(&all_extrinsics),
             cameras,

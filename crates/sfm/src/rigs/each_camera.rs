@@ -14,7 +14,9 @@ use super::extrinsics::RigConstraint;
 use super::gating::UnmatchedImages;
 use super::held_out::HeldOutComparison;
 use super::sensor_pair::SensorPair;
-use super::sigma_selection::{ConstrainedModel, HELD_OUT_TOLERANCE, SigmaSelection, adopt_clocks};
+use super::sigma_selection::{
+    ConstrainedModel, HELD_OUT_TOLERANCE, ROTATION_TOLERANCE, SigmaSelection, adopt_clocks,
+};
 use crate::Error;
 use crate::options::RigMode;
 
@@ -30,7 +32,8 @@ impl Context<'_> {
     ) -> Result<SigmaSelection, Error> {
         let (off, mut own) = (model.clone(), sensor_pairs.to_vec());
         let common = self.select_common_sigmas(model, sensor_pairs, mode, comparison)?;
-        if own.len() < 2 || common.is_at_floor || mode == RigMode::Rigid {
+        let is_repaired = !common.split_images.is_empty();
+        if own.len() < 2 || common.is_at_floor || is_repaired || mode == RigMode::Rigid {
             return Ok(common);
         }
         let mut permitted = Vec::new();
@@ -41,12 +44,23 @@ impl Context<'_> {
             let found = self.select_common_sigmas(&mut off.clone(), alone, mode, &comparison)?;
             permitted.push(found.best.map(|best| best.sigmas));
         }
-        let Some(best) = self.constrain_each(&off, &own, &permitted, comparison)? else {
+        if common.best.is_some() && permitted.contains(&None) {
             return Ok(common);
+        }
+        let found = self.constrain_each(&off, &own, &permitted, comparison)?;
+        let is_better = |found: &ConstrainedModel| {
+            let increase_px = |common: &ConstrainedModel| found.error_px - common.error_px;
+            common
+                .best
+                .as_ref()
+                .is_none_or(|common| comparison.relative(increase_px(common)) <= ROTATION_TOLERANCE)
         };
+        let Some(best) = found.filter(is_better) else { return Ok(common) };
         adopt_clocks(sensor_pairs, &best.all_extrinsics);
         *model = best.model.clone();
-        Ok(SigmaSelection { best: Some(best), ..common })
+        let free = own.iter().zip(&permitted).filter(|(_, sigmas)| sigmas.is_none());
+        let unconstrained = free.map(|(sensor_pair, _)| sensor_pair.other).collect();
+        Ok(SigmaSelection { best: Some(best), unconstrained, ..SigmaSelection::default() })
     }
 
     /// Constrains each camera with its own standard deviations; `None` if none permits a

@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use tiepoint_adjust::AdjustOptions;
 use tiepoint_rig::robust_average;
-use tiepoint_scene::Reconstruction;
+use tiepoint_scene::{CameraId, Reconstruction};
 
 use super::context::{Context, ITERATIONS, MERGE_ERROR_FACTOR};
 use super::extrinsics::{RigConstraint, RigExtrinsics, SplitImage, relative_poses, robust_sigmas};
@@ -34,7 +34,7 @@ pub(super) const HELD_OUT_TOLERANCE: f64 = 0.08;
 /// translation. Above it the mount is flexible, and the rotation's standard deviation stays. The
 /// increase is 3 % for a mount that swings by a tenth of a degree (synthetic features with 0.5 px
 /// of noise). On KITTI 01, where the constraint causes 4 % in all, it is 0.1 % a step.
-const ROTATION_TOLERANCE: f64 = 0.003;
+pub(super) const ROTATION_TOLERANCE: f64 = 0.003;
 /// Factors on the standard deviations, applied one after the other, to move images of a split
 /// towards their extrinsics.
 const SPLIT_SIGMA_FACTORS: [f64; 3] = [30.0, 10.0, 3.0];
@@ -78,6 +78,8 @@ pub(super) struct SigmaSelection {
     pub(super) limit: Option<ConstraintLimit>,
     /// Images of splits that were constrained without matches across cameras.
     pub(super) split_images: BTreeSet<SplitImage>,
+    /// Cameras that permit no constraint although others do.
+    pub(super) unconstrained: Vec<CameraId>,
 }
 
 impl Context<'_> {
