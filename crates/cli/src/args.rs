@@ -560,12 +560,13 @@ pub(crate) struct AlignModel {
     /// common images observe in both models are compared.
     #[arg(long, value_name = "MODEL")]
     pub(crate) to: Option<PathBuf>,
-    /// Text file with camera positions in the frame that the result has, a line for each image:
-    /// name x y z.
+    /// Camera positions in the frame that the result has: a text file with a line for each image,
+    /// name x y z; or a CSV file with the header image,lat,lon,alt (WGS 84, degrees and metres),
+    /// after which x is east, y north and z up, or image,x,y,z (metres, z up).
     #[arg(long, value_name = "FILE", requires = "max_error")]
     pub(crate) positions: Option<PathBuf>,
-    /// Maximum distance of a camera from its position, in the unit of the file. Images farther away
-    /// are outliers.
+    /// Maximum distance of a camera from its position, in the unit of the file (of
+    /// image,lat,lon,alt in metres). Images farther away are outliers.
     #[arg(long, value_name = "DISTANCE", value_parser = positive, requires = "positions")]
     pub(crate) max_error: Option<f64>,
     /// With --to: maximum error of a point in the images of the other model, in pixels.

@@ -19,6 +19,7 @@ pub mod names;
 pub mod nerfstudio;
 pub mod openmvs;
 pub mod ply;
+pub mod position_priors;
 pub mod positions;
 pub mod rig_calibration;
 mod rotation;

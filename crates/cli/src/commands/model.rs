@@ -98,6 +98,9 @@ fn describe_change(change: &ModelChange) -> String {
     if let Some(alignment) = &change.alignment {
         text += &describe_alignment(alignment);
     }
+    if let Some(frame) = &change.frame {
+        let _ = writeln!(text, "frame: {frame}");
+    }
     for merged in &change.merged {
         let _ = writeln!(
             text,

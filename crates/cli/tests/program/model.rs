@@ -192,6 +192,58 @@ fn alignment_to_positions_ignores_wrong_ones() {
 }
 
 #[test]
+fn alignment_to_places_on_the_earth_gives_east_north_up() {
+    use tiepoint_pipeline::sfm::geometry::geodesy::{Geodetic, LocalFrame};
+    let dir = tempfile::tempdir().unwrap();
+    let dir = dir.path();
+    let (mut model, transform) = (scene(), similarity());
+    write(dir, "a", &model);
+    model.transform(&transform);
+    let origin = Geodetic { latitude_deg: -17.0, longitude_deg: 179.99999, height_m: 20.0 };
+    let frame = LocalFrame::new(origin);
+    let place = |c: &Vector3<f64>| frame.to_geodetic(c);
+    let mut text = String::from("image,lat,lon,alt,sigma\nnot there.png,1,2,3,4\n");
+    for (id, image, pose) in model.registered() {
+        // A receiver without a fix.
+        let Geodetic { latitude_deg, longitude_deg, height_m } = match id.0 {
+            2 => Geodetic::default(),
+            _ => place(&pose.origin_in_a()),
+        };
+        text += &format!("{},{latitude_deg},{longitude_deg},{height_m},2\n", image.name);
+    }
+    fs::write(dir.join("p.csv"), &text).unwrap();
+    let line = "model align {}/a --positions {}/p.csv --max-error 0.1 -o {}/b";
+    let found = tiepoint_in(dir, &format!("{line} --json")).done().json();
+    assert_eq!(found["alignment"]["inliers"], NUM_IMAGES - 1, "{found}");
+    assert!(found["frame"].as_str().unwrap().starts_with("x is east, y north and z up"), "{found}");
+    let sidecar: Value =
+        serde_json::from_slice(&fs::read(dir.join("b/tiepoint.json")).unwrap()).unwrap();
+    let number = |name: &str| sidecar["georeference"][name].as_f64().unwrap();
+    let found = LocalFrame::new(Geodetic {
+        latitude_deg: number("latitude_deg"),
+        longitude_deg: number("longitude_deg"),
+        height_m: number("height_m"),
+    });
+    for (aligned, truth) in read(dir, "b").registered().zip(model.registered()) {
+        let there = frame.to_local(&found.to_geodetic(&aligned.2.origin_in_a()));
+        assert!((there - truth.2.origin_in_a()).norm() < 1e-6, "{there}");
+    }
+    // A change of the frame drops it, and a part keeps it.
+    fs::write(dir.join("t.txt"), "2 1 0 0 0 1 2 3\n").unwrap();
+    tiepoint_in(dir, "model transform {}/b --by {}/t.txt -o {}/c").done();
+    assert!(!fs::read_to_string(dir.join("c/tiepoint.json")).unwrap().contains("latitude"));
+    tiepoint_in(dir, "model crop {}/b --quantiles 0.1,0.9 -o {}/d").done();
+    assert!(fs::read_to_string(dir.join("d/tiepoint.json")).unwrap().contains("latitude"));
+    // Exports do not tell where the model is.
+    tiepoint_in(dir, "export {}/b --to colmap -o {}/e").done();
+    assert!(!fs::read_to_string(dir.join("e/tiepoint.json")).unwrap().contains("latitude"));
+    fs::write(dir.join("p.csv"), text.replace(',', ";")).unwrap();
+    tiepoint_in(dir, line).failed(1, &["p.csv: line 1", "must be"]);
+    fs::write(dir.join("p.csv"), "image,lat,lon,alt\nleft/0 a.png,139.7,35.6,0\n").unwrap();
+    tiepoint_in(dir, line).failed(1, &["p.csv: line 2", "latitude comes before longitude"]);
+}
+
+#[test]
 fn alignment_to_a_model_by_common_keypoints() {
     let dir = tempfile::tempdir().unwrap();
     let dir = dir.path();

@@ -5,6 +5,9 @@ use std::path::Path;
 
 use exif::{In, Rational, Tag, Value};
 use tiepoint_io::{Error, Result};
+use tiepoint_scene::Position;
+
+use super::place::{add_rtk_deviations, position_of};
 
 /// Diagonal of 35 mm film (36 mm × 24 mm), in millimetres: the "35 mm equivalent" focal length
 /// gives the same diagonal angle of view (CIPA DCG-001).
@@ -55,6 +58,9 @@ pub struct Exif {
     pub time_s: Option<f64>,
     /// Body and lens.
     pub device: Device,
+    /// Where the photo was taken: WGS 84, of a receiver with a fix. The deviation is that of
+    /// `GPSHPositioningError`, or of DJI's RTK in XMP ([`Exif::read`] alone looks for it).
+    pub position: Option<Position>,
 }
 
 impl Default for Exif {
@@ -68,6 +74,7 @@ impl Default for Exif {
             orientation: 1,
             time_s: None,
             device: Device::default(),
+            position: None,
         }
     }
 }
@@ -81,7 +88,11 @@ impl Exif {
     /// If the file cannot be opened.
     pub fn read(path: &Path) -> Result<Self> {
         let file = std::fs::File::open(path).map_err(Error::io(path))?;
-        Ok(Self::from_reader(&mut std::io::BufReader::new(file)))
+        let mut this = Self::from_reader(&mut std::io::BufReader::new(file));
+        if let Some(position) = &mut this.position {
+            add_rtk_deviations(position, path);
+        }
+        Ok(this)
     }
 
     pub(crate) fn from_bytes(bytes: &[u8]) -> Self {
@@ -141,6 +152,7 @@ impl Exif {
                 lens: name(Tag::LensModel),
                 lens_serial: name(Tag::LensSerialNumber),
             },
+            position: position_of(&fields),
         }
     }
 

@@ -1,15 +1,17 @@
 //! Work on finished models on disk, as COLMAP's `model_analyzer`, `model_transformer`,
 //! `model_aligner`, `model_cropper` and `model_merger` do it.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 use tiepoint_io::names::ByName;
-use tiepoint_io::{positions, similarity};
+use tiepoint_io::{position_priors, positions, similarity};
+use tiepoint_sfm::geometry::geodesy::Geodetic;
 use tiepoint_sfm::geometry::nalgebra::Vector3;
 use tiepoint_sfm::geometry::{RansacOptions, Sim3, estimate};
 use tiepoint_sfm::model_tools::{BoundingBox, align_models, crop, merge_model};
-use tiepoint_sfm::scene::Reconstruction;
+use tiepoint_sfm::scene::{Georeference, Position, Reconstruction};
 use tiepoint_store::{Replace, write_file};
 
 use crate::Error;
@@ -99,6 +101,9 @@ pub struct ModelChange {
     /// Quality of the alignment, if the transform was estimated.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub alignment: Option<AlignmentInfo>,
+    /// The frame of the new model, as a sentence, if it is on the earth or that of measurements.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub frame: Option<String>,
     /// The further models of a merge, in the order in which they were merged.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub merged: Vec<MergedInfo>,
@@ -143,7 +148,8 @@ pub enum AlignTo<'a> {
         /// Maximum transfer error of an inlier, in pixels.
         max_error_px: f64,
     },
-    /// A text file with lines `name x y z`: camera centres.
+    /// Camera centres: a text file with lines `name x y z`, or a CSV file of [`position_priors`],
+    /// which sets the [`Georeference`] of the model.
     Positions {
         /// The file.
         path: &'a Path,
@@ -174,6 +180,7 @@ fn write(located: &LocatedModel, to: &Path, inputs: &[PathBuf]) -> Result<ModelC
         points: located.reconstruction.num_tracks(),
         transform: None,
         alignment: None,
+        frame: None,
         merged: Vec::new(),
     })
 }
@@ -251,17 +258,21 @@ pub fn align_model(
     overwrite: bool,
 ) -> Result<ModelChange, Error> {
     let mut inputs = located.files();
-    let (new_from_old, alignment) = match align_to {
+    let (new_from_old, alignment, georeference) = match align_to {
         AlignTo::Model { reference, max_error_px } => {
             inputs.extend(reference.files());
-            align_to_model(located, reference, max_error_px)?
+            let (similarity, info) = align_to_model(located, reference, max_error_px)?;
+            (similarity, info, reference.reconstruction.georeference)
         }
         AlignTo::Positions { path: file, max_error } => {
             inputs.push(file.to_owned());
-            align_to_positions(located, file, max_error)?
+            let (positions, georeference) = read_positions(file)?;
+            let (similarity, info) = align_to_positions(located, &positions, file, max_error)?;
+            (similarity, info, georeference)
         }
     };
-    let model = transform(located, &new_from_old)?;
+    let mut model = transform(located, &new_from_old)?;
+    model.reconstruction.georeference = georeference;
     if let Some(file) = transform_to {
         // Both results are refused before either is written.
         refuse_foreign_model(to, &inputs)?;
@@ -273,7 +284,39 @@ pub fn align_model(
     }
     let change = write(&model, to, &inputs)?;
     let transform = Some((&new_from_old).into());
-    Ok(ModelChange { transform, alignment: Some(alignment), ..change })
+    let frame = georeference.as_ref().map(frame_in_words);
+    Ok(ModelChange { transform, alignment: Some(alignment), frame, ..change })
+}
+
+/// The frame of a georeferenced model, as a sentence.
+fn frame_in_words(georeference: &Georeference) -> String {
+    match georeference {
+        Georeference::Enu(frame) => {
+            let Geodetic { latitude_deg, longitude_deg, height_m } = frame.origin();
+            format!(
+                "x is east, y north and z up, in metres from latitude {latitude_deg:.7}°, \
+                 longitude {longitude_deg:.7}° and altitude {height_m:.2} m"
+            )
+        }
+        Georeference::Cartesian { offset } => {
+            format!("that of the positions, in metres from {:?}", offset.as_slice())
+        }
+    }
+}
+
+/// Positions by the names of images, and the frame that they are in, if it is known.
+fn read_positions(file: &Path) -> Result<(ByName<Vector3<f64>>, Option<Georeference>), Error> {
+    if !position_priors::has_header(file)? {
+        return Ok((ByName::new(positions::read(file)?), None));
+    }
+    let measured = position_priors::read(file)?;
+    let measured = measured.into_iter().filter(|(_, position)| !position.place.is_null());
+    let measured: BTreeMap<String, Position> = measured.collect();
+    let georeference = Georeference::near(measured.values().map(|position| &position.place));
+    let local = measured
+        .into_iter()
+        .filter_map(|(name, position)| Some((name, georeference?.to_local(&position.place)?)));
+    Ok((ByName::new(local.collect()), georeference))
 }
 
 fn align_to_model(
@@ -320,7 +363,7 @@ fn info_of(found: &tiepoint_sfm::model_tools::ModelAlignment, mean_distance: f64
 
 /// Mean distance of the centres of common images.
 fn mean_distance(model: &Reconstruction, reference: &Reconstruction, similarity: &Sim3) -> f64 {
-    let by_name: std::collections::BTreeMap<&str, Vector3<f64>> = reference
+    let by_name: BTreeMap<&str, Vector3<f64>> = reference
         .registered()
         .map(|(_, image, pose)| (image.name.as_str(), pose.origin_in_a()))
         .collect();
@@ -338,10 +381,10 @@ fn mean(values: impl Iterator<Item = f64>) -> f64 {
 
 fn align_to_positions(
     model: &LocatedModel,
+    positions: &ByName<Vector3<f64>>,
     file: &Path,
     max_error: f64,
 ) -> Result<(Sim3, AlignmentInfo), Error> {
-    let positions = ByName::new(positions::read(file)?);
     let pairs = model
         .reconstruction
         .registered()
