@@ -19,11 +19,12 @@ use tiepoint_pipeline::sfm::RigMode;
 use tiepoint_pipeline::sfm::geometry::{CameraModelKind, Intrinsics};
 use tiepoint_pipeline::sfm::matching::PairSelection;
 use tiepoint_pipeline::sfm::rolling_shutter::Readout;
+use tiepoint_pipeline::stages::PositionPriors;
 use tiepoint_synth::trajectory::Carrier;
 use tiepoint_synth::{CollectionKind, Effects, RouteKind, ViewDirection};
 
 pub(crate) use values::{CropBox, ImageSize, Metres, PositivePixels, Quantiles, Refine, threads};
-use values::{NumberList, one_of, positive, readout, refine, rig_mode};
+use values::{NumberList, one_of, position_priors, positive, readout, refine, rig_mode};
 
 /// Structure from motion for cameras mounted on one vehicle: photos in, a COLMAP model out.
 #[derive(Debug, Parser)]
@@ -420,6 +421,18 @@ pub(crate) struct Mapping {
     /// m, cm or mm. The model is scaled to it; by default the scale is arbitrary.
     #[arg(long, value_name = "0.62m", conflicts_with = "input_model")]
     pub(crate) baseline: Option<Metres>,
+    /// Measured positions of the photos: auto (EXIF, or pose_priors of --database), off, or a CSV
+    /// file with the header image,lat,lon,alt (WGS 84, degrees and metres) or image,x,y,z (metres,
+    /// z up), and perhaps sigma or sigma_h,sigma_v (standard deviations in metres, else estimated).
+    /// The model is then in metres, x east, y north, z up, and georeference.json has its origin.
+    /// Positions also take part in the adjustments, if held-out ones say that it helps.
+    #[arg(
+        long,
+        value_name = "auto|off|FILE",
+        default_value = "auto",
+        value_parser = position_priors
+    )]
+    pub(crate) position_priors: PositionPriors,
     /// Goes on from this model (folder with a COLMAP model, or workspace): its poses, intrinsics
     /// and points are initial values, and further photos are registered onto it. The frame and the
     /// scale of the model stay. Its rigs are left out: all images have independent poses. Images
@@ -552,7 +565,9 @@ pub(crate) struct TransformModel {
 const MAX_TRANSFER_ERROR_PX: f64 = 8.0;
 
 #[derive(Debug, Args)]
-#[command(group = ArgGroup::new("target").args(["to", "positions"]).required(true))]
+#[command(
+    group = ArgGroup::new("target").args(["to", "positions", "control_points"]).required(true)
+)]
 pub(crate) struct AlignModel {
     /// Folder with a COLMAP model, or workspace.
     pub(crate) model: PathBuf,
@@ -569,6 +584,11 @@ pub(crate) struct AlignModel {
     /// image,lat,lon,alt in metres). Images farther away are outliers.
     #[arg(long, value_name = "DISTANCE", value_parser = positive, requires = "positions")]
     pub(crate) max_error: Option<f64>,
+    /// Points with measured coordinates and marks in images: gcp_list.txt of OpenDroneMap. A point
+    /// that the others contradict is named and not used; names that begin with CHK- are check
+    /// points, whose errors are printed only.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) control_points: Option<PathBuf>,
     /// With --to: maximum error of a point in the images of the other model, in pixels.
     #[arg(
         long,

@@ -99,8 +99,10 @@ fn stages(report: &Report) -> String {
         for scale in report.models.first().iter().filter_map(|model| model.scale.as_ref()) {
             line(format_args!("scale     {}", scale.reason));
         }
-        let is_scaled =
-            |model: &ModelReport| model.scale.as_ref().is_some_and(|scale| scale.factor.is_some());
+        let is_scaled = |model: &ModelReport| {
+            model.positions.is_some()
+                || model.scale.as_ref().is_some_and(|scale| scale.factor.is_some())
+        };
         let unit = if report.models.first().is_some_and(is_scaled) { "m" } else { "units" };
         for rig in report.models.first().iter().filter_map(|model| model.rig.as_ref()) {
             for camera in &rig.cameras {

@@ -1,4 +1,4 @@
-//! Places on the earth: geodetic coordinates of WGS 84, earth-centred ones, and local frames.
+//! Places on the earth: geodetic coordinates of WGS 84, earth-centred ones, local frames, and UTM.
 //!
 //! ECEF is earth-centred and earth-fixed, in metres: x through the equator at longitude 0, z
 //! through the north pole. A local frame is ENU: x east, y north, z up, in metres, tangential to
@@ -105,6 +105,103 @@ impl LocalFrame {
     }
 }
 
+/// The scale of UTM on its central meridian, and its false easting and, in the south, northing.
+const UTM_SCALE: f64 = 0.9996;
+const FALSE_EASTING_M: f64 = 500_000.0;
+const FALSE_NORTHING_M: f64 = 10_000_000.0;
+
+/// A zone of the Universal Transverse Mercator projection of WGS 84.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct UtmZone {
+    /// 1 to 60.
+    pub number: u8,
+    /// Whether northings are from the equator; else they have 10 000 km added.
+    pub is_north: bool,
+}
+
+impl UtmZone {
+    /// Of an EPSG code, 32601 to 32660 (north) and 32701 to 32760 (south).
+    pub fn from_epsg(code: u32) -> Option<Self> {
+        let is_north = match code / 100 {
+            326 => true,
+            327 => false,
+            _ => return None,
+        };
+        let number = (code % 100) as u8;
+        (1..=60).contains(&number).then_some(Self { number, is_north })
+    }
+
+    fn central_meridian_rad(self) -> f64 {
+        (6.0 * f64::from(self.number) - 183.0).to_radians()
+    }
+
+    /// Easting and northing of a place, in metres, and its height: the series of Krüger (1912) to
+    /// the fourth order (Karney 2011, Eqs. 7 to 11 and 35), with errors below a micrometre in and
+    /// beside the zone.
+    pub fn project(self, place: &Geodetic) -> Vector3<f64> {
+        let longitude = place.longitude_deg.to_radians() - self.central_meridian_rad();
+        let (sin, e) = (place.latitude_deg.to_radians().sin(), E2.sqrt());
+        let conformal = (sin.atanh() - e * (e * sin).atanh()).sinh();
+        let xi = conformal.atan2(longitude.cos());
+        let eta = (longitude.sin() / conformal.hypot(longitude.cos())).asinh();
+        let ([alpha, _], radius) = kruger();
+        let (mut x, mut y) = (eta, xi);
+        for (j, alpha) in (1..).map(|j| 2.0 * f64::from(j)).zip(alpha) {
+            y += alpha * (j * xi).sin() * (j * eta).cosh();
+            x += alpha * (j * xi).cos() * (j * eta).sinh();
+        }
+        let north_m = if self.is_north { 0.0 } else { FALSE_NORTHING_M };
+        let [x, y] = [x, y].map(|value| UTM_SCALE * radius * value);
+        Vector3::new(FALSE_EASTING_M + x, north_m + y, place.height_m)
+    }
+
+    /// The place of easting, northing and height.
+    pub fn unproject(self, projected: &Vector3<f64>) -> Geodetic {
+        let north_m = if self.is_north { 0.0 } else { FALSE_NORTHING_M };
+        let ([_, beta], radius) = kruger();
+        let eta = (projected.x - FALSE_EASTING_M) / (UTM_SCALE * radius);
+        let xi = (projected.y - north_m) / (UTM_SCALE * radius);
+        let (mut x, mut y) = (eta, xi);
+        for (j, beta) in (1..).map(|j| 2.0 * f64::from(j)).zip(beta) {
+            y -= beta * (j * xi).sin() * (j * eta).cosh();
+            x -= beta * (j * xi).cos() * (j * eta).sinh();
+        }
+        let e = E2.sqrt();
+        let isometric = (y.sin() / x.cosh()).atanh();
+        let mut sin = isometric.tanh();
+        // Each step gains two digits.
+        for _ in 0..9 {
+            sin = (isometric + e * (e * sin).atanh()).tanh();
+        }
+        let longitude = self.central_meridian_rad() + x.sinh().atan2(y.cos());
+        Geodetic {
+            latitude_deg: sin.asin().to_degrees(),
+            longitude_deg: longitude.to_degrees(),
+            height_m: projected.z,
+        }
+    }
+}
+
+/// Coefficients of the series for the projection and its inverse, and the radius of the rectifying
+/// sphere.
+fn kruger() -> ([[f64; 4]; 2], f64) {
+    let n = F / (2.0 - F);
+    let [n2, n3, n4] = [n.powi(2), n.powi(3), n.powi(4)];
+    let alpha = [
+        n / 2.0 - 2.0 / 3.0 * n2 + 5.0 / 16.0 * n3 + 41.0 / 180.0 * n4,
+        13.0 / 48.0 * n2 - 3.0 / 5.0 * n3 + 557.0 / 1440.0 * n4,
+        61.0 / 240.0 * n3 - 103.0 / 140.0 * n4,
+        49561.0 / 161280.0 * n4,
+    ];
+    let beta = [
+        n / 2.0 - 2.0 / 3.0 * n2 + 37.0 / 96.0 * n3 - n4 / 360.0,
+        n2 / 48.0 + n3 / 15.0 - 437.0 / 1440.0 * n4,
+        17.0 / 480.0 * n3 - 37.0 / 840.0 * n4,
+        4397.0 / 161280.0 * n4,
+    ];
+    ([alpha, beta], A_M / (1.0 + n) * (1.0 + n2 / 4.0 + n4 / 64.0))
+}
+
 #[cfg(test)]
 mod tests {
     use proptest::prelude::*;
@@ -154,6 +251,29 @@ mod tests {
         ] {
             let found = frame.to_local(&place(geodetic));
             assert!((found - Vector3::from(enu)).norm() < PROJ_M, "{found}");
+        }
+    }
+
+    /// Values of PROJ, printed to a micrometre.
+    #[test]
+    fn utm_is_that_of_proj() {
+        for (code, [latitude_deg, longitude_deg], projected) in [
+            (32632, [48.1374, 11.5755], [691603.031991, 5334780.030903]),
+            (32756, [-33.8568, 151.2153], [334900.569652, 6252288.752888]),
+            (32633, [55.698, 13.195], [386556.667098, 6173944.966205]),
+            (32631, [0.0, 0.0], [166021.443081, 0.0]),
+            (32660, [70.0, -179.0], [652590.036385, 7770880.822430]),
+        ] {
+            let zone = UtmZone::from_epsg(code).unwrap();
+            let place = Geodetic { latitude_deg, longitude_deg, height_m: 7.0 };
+            let found = zone.project(&place);
+            let expected = Vector3::new(projected[0], projected[1], 7.0);
+            assert!((found - expected).norm() < 1e-6, "{code}: {found}");
+            let back = zone.unproject(&found).to_ecef() - place.to_ecef();
+            assert!(back.norm() < ROUNDING_M, "{code}: {back}");
+        }
+        for code in [4326, 32600, 32661, 32700, 32761] {
+            assert_eq!(UtmZone::from_epsg(code), None);
         }
     }
 

@@ -5,6 +5,7 @@ pub mod bal;
 mod binary;
 pub mod calibration;
 pub mod colmap;
+pub mod control_points;
 mod counted_file;
 #[cfg(feature = "database")]
 pub mod database;

@@ -244,6 +244,84 @@ fn alignment_to_places_on_the_earth_gives_east_north_up() {
 }
 
 #[test]
+fn alignment_to_control_points_names_the_wrong_one() {
+    let dir = tempfile::tempdir().unwrap();
+    let dir = dir.path();
+    let (mut model, transform) = (scene(), similarity());
+    write(dir, "a", &model);
+    type Marked = (Vector3<f64>, Vec<(String, Vector2<f64>)>);
+    let observed: Vec<Marked> = model
+        .tracks()
+        .filter(|(_, track)| track.observations.len() >= 4)
+        .step_by(8)
+        .take(7)
+        .map(|(_, track)| {
+            let mark = |o: &Observation| {
+                let image = model.image(o.image);
+                (image.name.replace(' ', "_"), image.keypoints[o.keypoint as usize].pixel)
+            };
+            (transform * track.xyz, track.observations.iter().map(mark).collect())
+        })
+        .collect();
+    assert_eq!(observed.len(), 7);
+    // Names in the file have no spaces.
+    let file = |wrong: Option<usize>| {
+        let mut text = String::from("local\n");
+        for (k, (xyz, marks)) in observed.iter().enumerate() {
+            let name = if k == 6 { "CHK-6".to_owned() } else { format!("p{k}") };
+            let x = xyz.x + if wrong == Some(k) { 0.5 } else { 0.0 };
+            for (image, pixel) in marks {
+                let [y, z] = [xyz.y, xyz.z];
+                text += &format!("{x} {y} {z} {} {} {image} {name}\n", pixel.x, pixel.y);
+            }
+        }
+        text
+    };
+    let mut renamed = Reconstruction::default();
+    let camera = renamed.add_camera(*model.camera_of(ImageId(0)));
+    for (_, image, pose) in model.registered() {
+        let name = image.name.replace(' ', "_");
+        let id = renamed.add_image(Image::new(name, camera, Vec::new()));
+        renamed.register(id, *pose);
+    }
+    write(dir, "renamed", &renamed);
+    model.transform(&transform);
+    let line = "model align {}/renamed --control-points {}/gcp.txt -o {}/b --json";
+    fs::write(dir.join("gcp.txt"), file(None)).unwrap();
+    let found = tiepoint_in(dir, line).done().json();
+    let points = found["control_points"].as_array().unwrap();
+    assert!(points.iter().all(|point| point["is_wrong"] == false), "{found}");
+    assert_eq!(points[6]["is_check"], true);
+    assert!(points.iter().all(|point| point["inlier_marks"] == point["marks"]), "{found}");
+    let largest_m = |point: &Value| -> f64 {
+        let error = point["error_m"].as_array().unwrap();
+        error.iter().map(|value| value.as_f64().unwrap().abs()).fold(0.0, f64::max)
+    };
+    assert!(points.iter().all(|point| largest_m(point) < 1e-6), "{found}");
+    let centres = |model: &Reconstruction| -> Vec<Vector3<f64>> {
+        model.registered().map(|(_, _, pose)| pose.origin_in_a()).collect()
+    };
+    let aligned = centres(&read(dir, "b"));
+    let near = |(a, b): (&Vector3<f64>, &Vector3<f64>)| (a - b).norm() < 1e-6;
+    assert!(aligned.iter().zip(&centres(&model)).all(near), "{found}");
+
+    fs::write(dir.join("gcp.txt"), file(Some(2))).unwrap();
+    let found = tiepoint_in(dir, line).done().json();
+    let wrong = |point: &&Value| point["is_wrong"] == true;
+    let wrong: Vec<&Value> =
+        found["control_points"].as_array().unwrap().iter().filter(wrong).collect();
+    assert!(wrong.len() == 1 && wrong[0]["name"] == "p2", "{found}");
+    assert!((largest_m(wrong[0]) - 0.5).abs() < 1e-6, "{found}");
+    let text = tiepoint_in(dir, &line.replace(" --json", "")).done().stdout();
+    assert!(text.contains("control point p2: ") && text.contains("not used"), "{text}");
+
+    fs::write(dir.join("gcp.txt"), "local\n1 2 3 4 5 left/0_a.png p\n").unwrap();
+    tiepoint_in(dir, line).failed(1, &["gcp.txt", "0 of 1 control points are usable"]);
+    fs::write(dir.join("gcp.txt"), "EPSG:1\n").unwrap();
+    tiepoint_in(dir, line).failed(1, &["gcp.txt", "line 1", "must be EPSG:4326"]);
+}
+
+#[test]
 fn alignment_to_a_model_by_common_keypoints() {
     let dir = tempfile::tempdir().unwrap();
     let dir = dir.path();

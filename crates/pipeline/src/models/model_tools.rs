@@ -5,12 +5,14 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
+use tiepoint_io::control_points::{self, ControlPoint};
 use tiepoint_io::names::ByName;
 use tiepoint_io::{position_priors, positions, similarity};
 use tiepoint_sfm::geometry::geodesy::Geodetic;
-use tiepoint_sfm::geometry::nalgebra::Vector3;
+use tiepoint_sfm::geometry::nalgebra::{Vector2, Vector3};
 use tiepoint_sfm::geometry::{RansacOptions, Sim3, estimate};
 use tiepoint_sfm::model_tools::{BoundingBox, align_models, crop, merge_model};
+use tiepoint_sfm::positions::{MarkedPoint, PointError, align_to_points};
 use tiepoint_sfm::scene::{Georeference, Position, Reconstruction};
 use tiepoint_store::{Replace, write_file};
 
@@ -104,6 +106,9 @@ pub struct ModelChange {
     /// The frame of the new model, as a sentence, if it is on the earth or that of measurements.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub frame: Option<String>,
+    /// The control points of the alignment.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub control_points: Vec<ControlPointInfo>,
     /// The further models of a merge, in the order in which they were merged.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub merged: Vec<MergedInfo>,
@@ -121,6 +126,27 @@ pub struct AlignmentInfo {
     /// Mean distance of the camera centres of common images from their places after the alignment,
     /// in units of the new frame; of positions, those that fit.
     pub mean_distance: f64,
+}
+
+/// A control point or check point after an alignment.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct ControlPointInfo {
+    /// Its name.
+    pub name: String,
+    /// Whether it only tells of errors.
+    pub is_check: bool,
+    /// Whether the others contradict it, so that it was not used.
+    pub is_wrong: bool,
+    /// Number of marks in images with a pose.
+    pub marks: usize,
+    /// Number of those that agree on one point.
+    pub inlier_marks: usize,
+    /// Its place in the model minus the measured one, in metres; `None` if the marks do not
+    /// determine it.
+    pub error_m: Option<[f64; 3]>,
+    /// Standard deviations of the error along the axes, by those of marks (3 px) and coordinates
+    /// (1 cm); `None` without an error.
+    pub sigmas_m: Option<[f64; 3]>,
 }
 
 /// A model that was merged into the first one.
@@ -156,6 +182,11 @@ pub enum AlignTo<'a> {
         /// Maximum distance of an inlier, in the unit of the file.
         max_error: f64,
     },
+    /// Control points that are marked in images ([`control_points`]).
+    ControlPoints {
+        /// The file.
+        path: &'a Path,
+    },
 }
 
 /// Which part of a model is kept.
@@ -181,6 +212,7 @@ fn write(located: &LocatedModel, to: &Path, inputs: &[PathBuf]) -> Result<ModelC
         transform: None,
         alignment: None,
         frame: None,
+        control_points: Vec::new(),
         merged: Vec::new(),
     })
 }
@@ -258,17 +290,24 @@ pub fn align_model(
     overwrite: bool,
 ) -> Result<ModelChange, Error> {
     let mut inputs = located.files();
+    let mut control_points = Vec::new();
     let (new_from_old, alignment, georeference) = match align_to {
         AlignTo::Model { reference, max_error_px } => {
             inputs.extend(reference.files());
             let (similarity, info) = align_to_model(located, reference, max_error_px)?;
-            (similarity, info, reference.reconstruction.georeference)
+            (similarity, Some(info), reference.reconstruction.georeference)
         }
         AlignTo::Positions { path: file, max_error } => {
             inputs.push(file.to_owned());
             let (positions, georeference) = read_positions(file)?;
             let (similarity, info) = align_to_positions(located, &positions, file, max_error)?;
-            (similarity, info, georeference)
+            (similarity, Some(info), georeference)
+        }
+        AlignTo::ControlPoints { path: file } => {
+            inputs.push(file.to_owned());
+            let (similarity, georeference, points) = align_to_control_points(located, file)?;
+            control_points = points;
+            (similarity, None, Some(georeference))
         }
     };
     let mut model = transform(located, &new_from_old)?;
@@ -285,7 +324,7 @@ pub fn align_model(
     let change = write(&model, to, &inputs)?;
     let transform = Some((&new_from_old).into());
     let frame = georeference.as_ref().map(frame_in_words);
-    Ok(ModelChange { transform, alignment: Some(alignment), frame, ..change })
+    Ok(ModelChange { transform, alignment, frame, control_points, ..change })
 }
 
 /// The frame of a georeferenced model, as a sentence.
@@ -421,6 +460,55 @@ fn align_to_positions(
         mean_distance: mean(distances),
     };
     Ok((report.model, info))
+}
+
+/// Standard deviation of the coordinates of a control point, in metres: of a survey.
+const CONTROL_SIGMA_M: f64 = 0.01;
+
+/// The similarity to control points, their frame, and the points after it.
+fn align_to_control_points(
+    located: &LocatedModel,
+    file: &Path,
+) -> Result<(Sim3, Georeference, Vec<ControlPointInfo>), Error> {
+    let model = &located.reconstruction;
+    let points = control_points::read(file)?;
+    let failed = |reason: String| Error::NoAlignment {
+        model: located.folder().to_owned(),
+        reference: file.to_owned(),
+        reason,
+    };
+    let by_name = ByName::new(model.images().map(|(id, i)| (i.name.clone(), id)).collect());
+    let of_mark = |(name, pixel): &(String, Vector2<f64>)| Some((*by_name.get(name)?, *pixel));
+    let georeference = Georeference::near(points.iter().map(|point| &point.place));
+    let marked = points.iter().filter_map(|point| {
+        Some(MarkedPoint {
+            xyz: georeference?.to_local(&point.place)?,
+            sigma_m: CONTROL_SIGMA_M,
+            is_check: point.is_check,
+            marks: point.marks.iter().filter_map(of_mark).collect(),
+        })
+    });
+    let marked: Vec<MarkedPoint> = marked.collect();
+    let too_few = |usable: usize| {
+        failed(format!(
+            "{usable} of {} control points are usable, and three that are not on a line are \
+             needed, each marked in two images with a pose and in different directions",
+            points.iter().filter(|point| !point.is_check).count()
+        ))
+    };
+    let found = align_to_points(model, &marked).map_err(too_few)?;
+    let info = |(point, error): (&ControlPoint, &PointError)| ControlPointInfo {
+        name: point.name.clone(),
+        is_check: point.is_check,
+        is_wrong: error.is_wrong,
+        marks: error.marks[0],
+        inlier_marks: error.marks[1],
+        error_m: error.error_m.map(Into::into),
+        sigmas_m: error.error_m.map(|_| error.sigmas_m.into()),
+    };
+    let infos = points.iter().zip(&found.points).map(info).collect();
+    let georeference = georeference.ok_or_else(|| too_few(0))?;
+    Ok((found.term_from_model, georeference, infos))
 }
 
 /// Keeps a part of a model and writes it to `to`.

@@ -12,7 +12,7 @@ use tiepoint_io::colmap::Format;
 use tiepoint_io::database::{Database, DatabaseFrame};
 use tiepoint_io::features::Descriptors;
 use tiepoint_io::{ply, timestamps};
-use tiepoint_sfm::adjust::RefineIntrinsics;
+use tiepoint_sfm::adjust::{RefineIntrinsics, Term};
 use tiepoint_sfm::geometry::OptionError;
 use tiepoint_sfm::rigs::{rig_candidates, rig_pairs};
 use tiepoint_sfm::scene::KnownRigs;
@@ -29,20 +29,23 @@ use crate::stages::colors::color_points;
 use crate::stages::foreign_database::require_descriptors;
 use crate::stages::input_model::{InputModel, OpenedModel};
 use crate::stages::option_keys;
+use crate::stages::positions::{FoundPositions, Placed, PositionPriors, ScenePositions};
 use crate::stages::rig_calibration::known_rigs;
 use crate::stages::rig_hints::why_no_rig;
 use crate::stages::scale::scale_to_baseline;
 use crate::stages::unregistered::{gaps, unregistered_images};
 use crate::stages::warnings::warnings_of_models;
 use crate::workspace::database_scene::read_scene;
-use crate::workspace::file_names::{SPARSE, is_rig_name, model_path, rig_name};
+use crate::workspace::file_names::{GEOREFERENCE, SPARSE, is_rig_name, model_path, rig_name};
 use crate::workspace::folder::{POINTS, rigs_in};
+use crate::workspace::format;
 use crate::workspace::model_output::{model_names, stage_with_sidecar};
 use crate::workspace::option_names;
 use crate::workspace::records::Recipe;
-use crate::workspace::report::{MapReport, ModelReport, ScaleReport};
+use crate::workspace::report::{MapReport, ModelReport, PositionReport, ScaleReport};
 use crate::workspace::rig_file::RigFile;
 use crate::workspace::rig_report::RigReport;
+use crate::workspace::sidecar::GeoreferenceFacts;
 use crate::workspace::stage_run::{StageRequest, StageResult, StageRun};
 use crate::workspace::warning::Warning;
 use crate::{Error, Event, Stage, Watch, Workspace, emit};
@@ -70,6 +73,9 @@ pub struct MapOptions {
     pub rig_calibration: Option<PathBuf>,
     /// Whether the extrinsics of the known rigs are initial values, which are refined.
     pub refine_extrinsics: bool,
+    /// Measured positions of the photos. The models are moved into their frame; in adjustments they
+    /// take part if held-out ones say that it helps.
+    pub position_priors: PositionPriors,
 }
 
 /// Value of [`MapOptions::calibration_sigma_px`] if none is given: an assumption, not an estimate.
@@ -117,6 +123,7 @@ struct MapRequest<'a> {
     texts: Vec<(&'static str, String)>,
     /// Whether the features came with the database of another program.
     is_imported: bool,
+    positions: Option<FoundPositions>,
 }
 
 /// What is mapped.
@@ -124,6 +131,14 @@ struct MapInput {
     scene: Reconstruction,
     graph: CorrespondenceGraph,
     known_rigs: Option<KnownRigs>,
+    positions: Option<ScenePositions>,
+}
+
+/// What mapping gives.
+struct Mapped {
+    models: Vec<MappedModel>,
+    scales: Vec<Option<ScaleReport>>,
+    placed: Placed,
 }
 
 impl<'a> MapRequest<'a> {
@@ -164,7 +179,10 @@ impl<'a> MapRequest<'a> {
         }
         let hash = rig_calibration.map(hash_file).transpose()?;
         texts.extend(option_keys::rig_calibration_options(hash, refine_extrinsics));
-        Ok(Self { given, options: mapper, input_model, texts, is_imported })
+        let positions = FoundPositions::read(workspace, &given.position_priors)?;
+        let hash = positions.as_ref().map(FoundPositions::hash);
+        texts.push(option_keys::position_priors_option(hash));
+        Ok(Self { given, options: mapper, input_model, texts, is_imported, positions })
     }
 
     fn take_texts(&mut self) -> Vec<(&'static str, String)> {
@@ -212,14 +230,15 @@ impl<'a> MapRequest<'a> {
             set_calibration_priors(&mut scene, &calibrations, distortion, sigma_px);
         }
         scene.calibrated.extend(constant);
+        let positions = self.positions.as_ref().map(|found| found.of_scene(&scene)).transpose()?;
         let total = scene.images().filter(|(_, image)| !image.keypoints.is_empty()).count();
         run.began(total, 0)?;
-        Ok(MapInput { scene, graph, known_rigs })
+        Ok(MapInput { scene, graph, known_rigs, positions })
     }
 
     /// Checks that what is asked for can be estimated from this input.
     fn check(&self, workspace: &Workspace, input: &MapInput) -> Result<(), Error> {
-        let MapInput { scene, graph, known_rigs } = input;
+        let MapInput { scene, graph, known_rigs, .. } = input;
         if graph.pairs().is_empty() {
             let required = VerifyOptions::default().min_num_inliers;
             return Err(no_overlap(workspace, required)?);
@@ -235,9 +254,62 @@ impl<'a> MapRequest<'a> {
         Ok(())
     }
 
-    /// Runs the mapper, and colours the points.
-    fn map(&self, run: &mut StageRun, input: &MapInput) -> Result<Vec<MappedModel>, Error> {
-        let MapInput { scene, graph, known_rigs } = input;
+    /// Maps, sets scale and frame, and colours the points.
+    fn map(&self, run: &mut StageRun, input: &MapInput) -> Result<Mapped, Error> {
+        let mut models = self.run_mapper(run, input, None)?;
+        let scales: Vec<Option<ScaleReport>> = match self.given.baseline_m {
+            Some(baseline_m) => {
+                scale_to_baseline(&mut models, baseline_m).into_iter().map(Some).collect()
+            }
+            None => vec![None; models.len()],
+        };
+        let placed = match &input.positions {
+            Some(positions) => self.place(run, input, &mut models, positions)?,
+            None => Placed::default(),
+        };
+        color(run, &mut models)?;
+        Ok(Mapped { models, scales, placed })
+    }
+
+    /// Moves the models into the frame of measured positions. Those that were mapped with the
+    /// positions replace them if held-out ones say that they are better.
+    fn place(
+        &self,
+        run: &mut StageRun,
+        input: &MapInput,
+        models: &mut Vec<MappedModel>,
+        positions: &ScenePositions,
+    ) -> Result<Placed, Error> {
+        if self.input_model.is_some() {
+            return Ok(Placed::unused("the model of `mapper.input_model` keeps its frame"));
+        }
+        let seed = self.options.seed;
+        let mut comparison = None;
+        let largest = models.first().map(|model| positions.align(model, seed));
+        if let Some(Ok(largest)) = largest
+            && self.given.baseline_m.is_none()
+        {
+            run.emit(&Event::Noted { what: "mapping once more, with the positions" })?;
+            let mut term = positions.term(&largest, seed);
+            let with = self.run_mapper(run, input, Some(&mut term))?;
+            comparison = positions.compare(models, &with, &largest, seed);
+            if comparison.is_some_and(|found| found.is_better()) {
+                *models = with;
+            }
+        }
+        let has_known_scale =
+            self.given.baseline_m.is_some() || self.given.rig_calibration.is_some();
+        Ok(positions.place(models, has_known_scale, comparison.as_ref(), seed))
+    }
+
+    /// Runs the mapper.
+    fn run_mapper(
+        &self,
+        run: &mut StageRun,
+        input: &MapInput,
+        term: Option<&mut dyn Term>,
+    ) -> Result<Vec<MappedModel>, Error> {
+        let MapInput { scene, graph, known_rigs, .. } = input;
         let name = |id| scene.image(id).name.as_str();
         let database = Database::open(&run.workspace.database())?;
         // Those of another program may be missing, or of a kind that is not known.
@@ -266,6 +338,9 @@ impl<'a> MapRequest<'a> {
         if let Some(rigs) = known_rigs {
             mapper = mapper.known_rigs(rigs);
         }
+        if let Some(term) = term {
+            mapper = mapper.term(term);
+        }
         if let Some(model) = &self.input_model {
             mapper = mapper.existing(match model.fix_existing_frames {
                 true => ExistingPoses::Constant,
@@ -273,7 +348,7 @@ impl<'a> MapRequest<'a> {
             });
         }
         let models = mapper.run(&self.options);
-        let mut models = models.map_err(|cause| match (&self.input_model, known_rigs) {
+        let models = models.map_err(|cause| match (&self.input_model, known_rigs) {
             (Some(model), _) => model.error(cause),
             (None, Some(_)) => cause.into(),
             (None, None) => without_depth(run.workspace, graph, cause),
@@ -282,34 +357,29 @@ impl<'a> MapRequest<'a> {
             return Err(error.into());
         }
         database.close()?;
-        color(run, &mut models)?;
         Ok(models)
     }
 
-    /// Stages the models with their scale, and writes the rigs into the database.
+    /// Stages the models, and writes the rigs into the database.
     fn finish(
         &self,
         run: &mut StageRun,
         input: &MapInput,
-        mut models: Vec<MappedModel>,
+        mapped: Mapped,
         replaced: Vec<String>,
     ) -> Result<StageResult, Error> {
-        let scales: Vec<Option<ScaleReport>> = match self.given.baseline_m {
-            Some(baseline_m) => {
-                scale_to_baseline(&mut models, baseline_m).into_iter().map(Some).collect()
-            }
-            None => vec![None; models.len()],
-        };
+        let Mapped { models, scales, placed } = mapped;
         let files = stage_models(run.workspace, &models)?;
         let is_known = input.known_rigs.is_some();
-        let reports = self.reports(&models, scales, is_known);
+        let reports = self.reports(&models, scales, placed.reports, is_known);
         let may_be_rig = self.options.rig != RigMode::Off && !is_known;
-        let notes: Vec<String> = match models.first() {
-            Some(first) if may_be_rig && reports.iter().all(|report| report.rig.is_none()) => {
-                why_no_rig(&first.reconstruction).into_iter().collect()
-            }
-            _ => Vec::new(),
-        };
+        let mut notes = placed.notes;
+        if let Some(first) = models.first()
+            && may_be_rig
+            && reports.iter().all(|report| report.rig.is_none())
+        {
+            notes.extend(why_no_rig(&first.reconstruction));
+        }
         for what in &notes {
             run.emit(&Event::Noted { what })?;
         }
@@ -344,9 +414,12 @@ impl<'a> MapRequest<'a> {
         &self,
         models: &[MappedModel],
         scales: Vec<Option<ScaleReport>>,
+        mut positions: Vec<Option<PositionReport>>,
         is_known: bool,
     ) -> Vec<ModelReport> {
-        let report = |(index, (model, scale)): (usize, (&MappedModel, Option<ScaleReport>))| {
+        positions.resize(models.len(), None);
+        type Of<'a> = ((&'a MappedModel, Option<ScaleReport>), Option<PositionReport>);
+        let report = |(index, ((model, scale), positions)): (usize, Of)| {
             let has_failed =
                 model.failures.iter().any(|failure| failure.stage == OptionalStage::Rig);
             let mode = if is_known { RigMode::Off } else { self.options.rig };
@@ -356,10 +429,11 @@ impl<'a> MapRequest<'a> {
                 loop_pairs: model.num_loop_pairs,
                 failed: model.failures.iter().map(|failure| describe(failure, is_known)).collect(),
                 rig: RigReport::new(mode, is_known && !has_failed, model, metres_per_unit),
+                positions,
                 ..ModelReport::new(model_path(index), model)
             }
         };
-        models.iter().zip(scales).enumerate().map(report).collect()
+        models.iter().zip(scales).zip(positions).enumerate().map(report).collect()
     }
 }
 
@@ -590,7 +664,7 @@ fn replaced_names(workspace: &Workspace) -> Vec<String> {
     let mut names: BTreeSet<String> = earlier.map(str::to_owned).collect();
     let models = (0..).map(model_path).take_while(|model| workspace.root().join(model).is_dir());
     names.extend(models.flat_map(|model| model_names(Some(&model))));
-    names.insert(POINTS.to_owned());
+    names.extend([POINTS, GEOREFERENCE].map(str::to_owned));
     names.extend(workspace.folder.names().filter(|name| is_rig_name(name)).map(str::to_owned));
     // Also foreign files, which are then rejected before mapping.
     names.extend(rigs_in(workspace.root()));
@@ -608,6 +682,13 @@ fn stage_models(workspace: &Workspace, models: &[MappedModel]) -> Result<Vec<Str
     let Some(largest) = models.first() else { return Ok(names) };
     ply::write(&workspace.folder.stage(POINTS)?, &ply::points(&largest.reconstruction))?;
     names.push(POINTS.to_owned());
+    // All models are in one frame.
+    let georeference = models.iter().find_map(|model| model.reconstruction.georeference.as_ref());
+    if let Some(georeference) = georeference {
+        let facts = GeoreferenceFacts::from(georeference);
+        workspace.folder.stage_bytes(GEOREFERENCE, &format::to_json(&facts))?;
+        names.push(GEOREFERENCE.to_owned());
+    }
     for (index, MappedModel { reconstruction, rig, shutters, .. }) in models.iter().enumerate() {
         let rig = rig.as_ref().and_then(|rig| RigFile::new(reconstruction, rig));
         if let Some(rig) = &rig {

@@ -112,7 +112,7 @@ fn mean_baseline(model: &Reconstruction, known: &[SensorPair]) -> Result<Baselin
 
 /// Scales extrinsics and their covariance. The first baseline is given (`has_given_length`), so
 /// that its length gets zero variance.
-fn scale_extrinsics(camera: &mut CalibratedCamera, factor: f64, has_given_length: bool) {
+pub(crate) fn scale_extrinsics(camera: &mut CalibratedCamera, factor: f64, has_given_length: bool) {
     let translation = camera.cam_from_rig.translation;
     camera.cam_from_rig.translation *= factor;
     camera.sensor_pair.assumed_baseline =

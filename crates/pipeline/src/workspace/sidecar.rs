@@ -43,7 +43,7 @@ pub(crate) struct Sidecar {
 /// Where the world frame is: metric, x and y horizontal, z up.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "frame", rename_all = "lowercase")]
-enum GeoreferenceFacts {
+pub(crate) enum GeoreferenceFacts {
     /// East, north and up, WGS 84, at this origin.
     Enu { latitude_deg: f64, longitude_deg: f64, height_m: f64 },
     /// The coordinates of the positions are those of the model plus `offset`.

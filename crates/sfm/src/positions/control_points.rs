@@ -1,0 +1,168 @@
+//! Control points: points with measured coordinates that are marked in images.
+
+use tiepoint_geometry::nalgebra::{Matrix3, Vector2, Vector3};
+use tiepoint_geometry::triangulate::{ViewRay, triangulate};
+use tiepoint_geometry::{Sim3, solvers};
+use tiepoint_scene::{ImageId, Reconstruction};
+
+use super::alignment::{Pair, refined};
+
+/// Largest distance of a mark from its point in the image: four deviations of marks by hand.
+const MAX_MARK_PX: f64 = 12.0;
+/// Standard deviation of a mark by hand.
+const MARK_PX: f64 = 3.0;
+/// Least angle between two rays to a point (1.5°).
+const MIN_ANGLE_RAD: f64 = 0.026;
+/// Fewest points: three determine a similarity.
+const MIN_POINTS: usize = 3;
+/// Normal quantile of one in a thousand.
+const QUANTILE: f64 = 3.09;
+
+/// A point with measured coordinates that is marked in images.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MarkedPoint {
+    /// Its measured coordinates, in a metric frame.
+    pub xyz: Vector3<f64>,
+    /// Their standard deviation along each axis, in metres.
+    pub sigma_m: f64,
+    /// Whether it only tells of errors.
+    pub is_check: bool,
+    /// The images in which it is marked, with the pixels.
+    pub marks: Vec<(ImageId, Vector2<f64>)>,
+}
+
+/// A point after the alignment.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PointError {
+    /// Number of marks in images with a pose, and of those that agree on one point.
+    pub marks: [usize; 2],
+    /// Its place in the model minus the measured one, in metres; `None` if the marks do not
+    /// determine it.
+    pub error_m: Option<Vector3<f64>>,
+    /// Standard deviations of this error along the axes, in metres, without errors of the model.
+    pub sigmas_m: Vector3<f64>,
+    /// Whether the others contradict it.
+    pub is_wrong: bool,
+}
+
+/// A model in the frame of control points.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ControlAlignment {
+    /// The similarity.
+    pub term_from_model: Sim3,
+    /// The points, in their order.
+    pub points: Vec<PointError>,
+}
+
+/// A point that its marks determine in the model, with the covariance of marks by hand.
+struct Found {
+    xyz: Vector3<f64>,
+    covariance: Matrix3<f64>,
+    num_inliers: usize,
+}
+
+/// The similarity that brings the marked points of a model to their measured coordinates. A point
+/// that the others contradict is left out: as long as the residuals are larger than chance
+/// explains, that without which they are smallest.
+///
+/// # Errors
+///
+/// How many points can be used, if they are fewer than three or on a line.
+pub fn align_to_points(
+    model: &Reconstruction,
+    points: &[MarkedPoint],
+) -> Result<ControlAlignment, usize> {
+    let found: Vec<Option<Found>> = points.iter().map(|point| in_model(model, point)).collect();
+    let mut used: Vec<usize> =
+        (0..points.len()).filter(|&k| found[k].is_some() && !points[k].is_check).collect();
+    let fit = |used: &[usize]| fit(points, &found, used);
+    let (mut similarity, mut cost) = fit(&used).ok_or(used.len())?;
+    // Four points are the fewest of which one can be wrong: three fit any one of two.
+    while used.len() > MIN_POINTS && cost > max_cost(3 * used.len() - 7) {
+        let without = (0..used.len()).filter_map(|k| {
+            let mut others = used.clone();
+            others.remove(k);
+            fit(&others).map(|(similarity, cost)| (cost, similarity, others))
+        });
+        let Some(best) = without.min_by(|a, b| a.0.total_cmp(&b.0)) else { break };
+        (cost, similarity, used) = best;
+    }
+    let of_point = |(k, point): (usize, &MarkedPoint)| {
+        let registered = point.marks.iter().filter(|(image, _)| has_pose(model, *image)).count();
+        let found = found[k].as_ref();
+        PointError {
+            marks: [registered, found.map_or(0, |found| found.num_inliers)],
+            error_m: found.map(|found| similarity * found.xyz - point.xyz),
+            sigmas_m: found
+                .map_or(Vector3::repeat(f64::INFINITY), |found| sigmas(point, found, &similarity)),
+            is_wrong: found.is_some() && !point.is_check && !used.contains(&k),
+        }
+    };
+    let points = points.iter().enumerate().map(of_point).collect();
+    Ok(ControlAlignment { term_from_model: similarity, points })
+}
+
+fn has_pose(model: &Reconstruction, image: ImageId) -> bool {
+    model.image(image).cam_from_world().is_some()
+}
+
+fn in_model(model: &Reconstruction, point: &MarkedPoint) -> Option<Found> {
+    let of_mark = |(image, pixel): &(ImageId, Vector2<f64>)| {
+        let pose = model.image(*image).cam_from_world()?;
+        let intrinsics = &model.camera_of(*image).intrinsics;
+        Some((*image, ViewRay::new(pose, intrinsics, *pixel)?))
+    };
+    let (images, rays): (Vec<ImageId>, Vec<ViewRay>) =
+        point.marks.iter().filter_map(of_mark).unzip();
+    let found = triangulate(&rays, MAX_MARK_PX, MIN_ANGLE_RAD)?;
+    let mut information = Matrix3::zeros();
+    for &k in &found.inliers {
+        let camera = model.camera_of(images[k]);
+        let from_centre = found.xyz - model.image(images[k]).cam_from_world()?.origin_in_a();
+        let direction = from_centre.normalize();
+        let sigma = MARK_PX / camera.intrinsics.mean_focal_px() * from_centre.norm();
+        information += (Matrix3::identity() - direction * direction.transpose()) / sigma.powi(2);
+    }
+    let covariance = information.try_inverse()?;
+    Some(Found { xyz: found.xyz, covariance, num_inliers: found.inliers.len() })
+}
+
+/// Deviations of the error of a point in the measured frame.
+fn sigmas(point: &MarkedPoint, found: &Found, similarity: &Sim3) -> Vector3<f64> {
+    let rotation = similarity.rotation.to_rotation_matrix();
+    let covariance = rotation * found.covariance * rotation.inverse();
+    let variances = covariance.diagonal() * similarity.scale.powi(2);
+    variances.map(|variance| (variance + point.sigma_m.powi(2)).sqrt())
+}
+
+/// The similarity of these points, and the sum of the squared residuals in their deviations.
+fn fit(points: &[MarkedPoint], found: &[Option<Found>], used: &[usize]) -> Option<(Sim3, f64)> {
+    let used: Vec<(&MarkedPoint, &Found)> =
+        used.iter().filter_map(|&k| Some((&points[k], found[k].as_ref()?))).collect();
+    if used.len() < MIN_POINTS {
+        return None;
+    }
+    let (from, to): (Vec<Vector3<f64>>, Vec<Vector3<f64>>) =
+        used.iter().map(|(point, found)| (found.xyz, point.xyz)).unzip();
+    let mut similarity = solvers::umeyama(&from, &to, true)?;
+    let mut pairs = Vec::new();
+    for _ in 0..2 {
+        let pair = |(point, found): &(&MarkedPoint, &Found)| Pair {
+            found: found.xyz,
+            measured: point.xyz,
+            sigmas: sigmas(point, found, &similarity),
+            axes: Matrix3::identity(),
+        };
+        pairs = used.iter().map(pair).collect();
+        similarity = refined(&pairs, similarity, false).0;
+    }
+    let cost: f64 = pairs.iter().map(|pair| pair.whitened(&similarity).powi(2)).sum();
+    (cost.is_finite()).then_some((similarity, cost))
+}
+
+/// The 99.9 % quantile of χ² (Wilson & Hilferty 1931).
+fn max_cost(degrees: usize) -> f64 {
+    let d = degrees as f64;
+    let part = 2.0 / (9.0 * d);
+    d * (1.0 - part + QUANTILE * part.sqrt()).powi(3)
+}
