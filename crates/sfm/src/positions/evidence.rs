@@ -12,6 +12,9 @@ const NUM_BLOCKS: usize = 50;
 const HELD_OUT: usize = 5;
 /// Smallest t-statistic of the differences of the blocks that is no chance.
 const MIN_T: f64 = 2.0;
+/// Least decrease of the squared distance, as a part of it: positions that contradict the images
+/// may give a small one by chance of many.
+const MIN_GAIN: f64 = 0.1;
 /// Largest increase of the mean reprojection error, and least share of images, with positions.
 const MAX_ERROR: f64 = 1.02;
 const MIN_IMAGES: f64 = 0.98;
@@ -23,7 +26,9 @@ const LOSS: Loss = Loss::GemanMcClure(3.0);
 pub struct Comparison {
     /// Median distance of the cameras from the held-out positions, in metres: without, and with.
     pub median_m: [f64; 2],
-    /// By how many of its standard deviations the squared distance is smaller with the term.
+    /// By which part the bounded squared distance is smaller with the term.
+    pub gain: f64,
+    /// By how many of its standard deviations it is smaller.
     pub t: f64,
     /// Number of images with a pose.
     pub images: [usize; 2],
@@ -35,6 +40,7 @@ impl Comparison {
     /// Whether the models with the term are better.
     pub fn is_better(&self) -> bool {
         self.t >= MIN_T
+            && self.gain >= MIN_GAIN
             && self.images[1] as f64 >= MIN_IMAGES * self.images[0] as f64
             && self.error_px[1] <= MAX_ERROR * self.error_px[0]
     }
@@ -66,6 +72,7 @@ pub fn compare(
 ) -> Option<Comparison> {
     let mut blocks: Vec<(usize, f64, usize)> = Vec::new();
     let mut distances: [Vec<f64>; 2] = Default::default();
+    let (mut total, mut gained) = (0.0, 0.0);
     for (index, position) in positions.iter().enumerate() {
         let (block, true) = block(index, positions.len()) else { continue };
         let both = [without, with].map(|models| centre(models, position.image));
@@ -75,6 +82,8 @@ pub fn compare(
         let [before, after] = [before, after].map(|centre| centre - position.xyz);
         let cost = |r: &Vector3<f64>| LOSS.evaluate(r.component_div(&sigmas).norm_squared())[0];
         let gain = cost(&before) - cost(&after);
+        total += cost(&before);
+        gained += gain;
         distances[0].push(before.norm());
         distances[1].push(after.norm());
         match blocks.last_mut() {
@@ -103,6 +112,7 @@ pub fn compare(
     };
     Some(Comparison {
         median_m: distances.each_mut().map(median),
+        gain: gained / total.max(f64::MIN_POSITIVE),
         t: mean / (variance / count).sqrt().max(f64::MIN_POSITIVE),
         images: [images(without), images(with)],
         error_px: [error_px(without), error_px(with)],
