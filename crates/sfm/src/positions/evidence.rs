@@ -62,8 +62,9 @@ pub fn held_out(positions: &[MeasuredPosition]) -> (Vec<MeasuredPosition>, Vec<M
 }
 
 /// Compares models by the held-out ones of all `positions`, in the images that have a pose in both.
-/// `sigmas_m` are the deviations of positions without their own; each model comes with its
-/// similarity to the frame of the positions. `None` without two blocks of positions.
+/// `sigmas_m` are the deviations about the first model, which count where stated ones are smaller:
+/// wrong positions may state any. Each model comes with its similarity to the frame of the
+/// positions. `None` without two blocks of positions.
 pub fn compare(
     without: &[(&Reconstruction, Sim3)],
     with: &[(&Reconstruction, Sim3)],
@@ -77,7 +78,8 @@ pub fn compare(
         let (block, true) = block(index, positions.len()) else { continue };
         let both = [without, with].map(|models| centre(models, position.image));
         let [Some(before), Some(after)] = both else { continue };
-        let [horizontal, vertical] = position.sigmas_m.unwrap_or(sigmas_m);
+        let stated = position.sigmas_m.unwrap_or(sigmas_m);
+        let [horizontal, vertical] = [0, 1].map(|axis| stated[axis].max(sigmas_m[axis]));
         let sigmas = Vector3::new(horizontal, horizontal, vertical);
         let [before, after] = [before, after].map(|centre| centre - position.xyz);
         let cost = |r: &Vector3<f64>| LOSS.evaluate(r.component_div(&sigmas).norm_squared())[0];
