@@ -38,5 +38,6 @@ pub use random_effects::RandomEffects;
 pub use solver::Solver;
 pub use spanning_tree::SpanningTree;
 pub use summary::{IterationRecord, Summary, Termination, Times};
+pub use tiepoint_geometry as geometry;
 pub use tiepoint_geometry::{Block, Loss, Manifold};
 pub use variable::{AnyKey, EliminationOrder, Key};

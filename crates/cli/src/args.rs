@@ -24,7 +24,7 @@ use tiepoint_synth::trajectory::Carrier;
 use tiepoint_synth::{CollectionKind, Effects, RouteKind, ViewDirection};
 
 pub(crate) use values::{CropBox, ImageSize, Metres, PositivePixels, Quantiles, Refine, threads};
-use values::{NumberList, one_of, position_priors, positive, readout, refine, rig_mode};
+use values::{NumberList, downscale, one_of, position_priors, positive, readout, refine, rig_mode};
 
 /// Structure from motion for cameras mounted on one vehicle: photos in, a COLMAP model out.
 #[derive(Debug, Parser)]
@@ -32,32 +32,40 @@ use values::{NumberList, one_of, position_priors, positive, readout, refine, rig
 pub(crate) struct Cli {
     #[command(subcommand)]
     pub(crate) command: Command,
-    /// Number of threads; by default all of the machine. The results do not depend on it.
-    #[arg(long, global = true, value_name = "N", value_parser = threads)]
+    /// Number of threads [default: all of the machine].
+    ///
+    /// The results do not depend on it.
+    #[arg(help_heading = "Output", long, global = true, value_name = "N", value_parser = threads)]
     pub(crate) threads: Option<NonZeroUsize>,
-    /// Writes progress as JSON lines to stderr and the result as one JSON object to stdout.
-    #[arg(long, global = true)]
+    /// Progress as JSON lines on stderr, the result as JSON on stdout.
+    #[arg(help_heading = "Output", long, global = true)]
     pub(crate) json: bool,
 }
 
 #[derive(Debug, Subcommand)]
 pub(crate) enum Command {
-    /// Runs features, match and map, with --dense also dense: photos in, a COLMAP project out.
-    /// Resumes an interrupted run.
+    /// Photos or videos in, a COLMAP project out: runs all stages.
+    ///
+    /// Runs features, match and map, with --dense also dense. Resumes an interrupted run.
     Reconstruct(Reconstruct),
     /// Stage 1: extracts SIFT keypoints and descriptors into WORKSPACE/database.db.
     Features(Features),
     /// Stage 2: matches image pairs and verifies them by two-view geometry.
     Match(Match),
-    /// Stage 3: incremental mapping. Writes poses and points to WORKSPACE/sparse/0; images that are
-    /// not connected to this model give further models in sparse/1, sparse/2, ...
+    /// Stage 3: poses and points, by incremental mapping.
+    ///
+    /// Writes WORKSPACE/sparse/0; images that are not connected to this model give further models
+    /// in sparse/1, sparse/2, ...
     Map(Map),
-    /// Stage 4: depth maps and a dense coloured cloud of the largest model, as a dense workspace of
-    /// COLMAP in WORKSPACE/dense (images, sparse, stereo, fused.ply, fused.ply.vis). Resumes an
-    /// interrupted run image by image.
+    /// Stage 4: depth maps and a dense coloured cloud of the largest model.
+    ///
+    /// Writes a dense workspace of COLMAP in WORKSPACE/dense (images, sparse, stereo, fused.ply,
+    /// fused.ply.vis). Resumes an interrupted run image by image.
     Dense(Dense),
-    /// Estimates the poses of photos in an existing model, which stays as it is. Prints a line for
-    /// each photo: name, number of inliers and cam_from_world as qw qx qy qz tx ty tz.
+    /// Estimates the poses of photos in an existing model, which stays as it is.
+    ///
+    /// Prints a line for each photo: name, number of inliers and cam_from_world as qw qx qy qz tx
+    /// ty tz.
     Localize(Localize),
     /// Bundle adjustment of a COLMAP model or a BAL problem.
     Adjust(Adjust),
@@ -69,34 +77,39 @@ pub(crate) enum Command {
     Model(ModelCommand),
     /// Writes a model in another format.
     Export(Export),
-    /// Writes the undistorted images of a model and the model with PINHOLE cameras, as trainers of
-    /// Gaussian splats read them (3DGS, gsplat, LichtFeld, Brush, nerfstudio): DIR/images with the
-    /// names of the photos, DIR/masks and DIR/sparse/0.
+    /// Undistorted images and PINHOLE model for trainers of Gaussian splats.
+    ///
+    /// As 3DGS, gsplat, LichtFeld, Brush and nerfstudio read them: DIR/images with the names of the
+    /// photos, DIR/masks and DIR/sparse/0.
     Undistort(Undistort),
-    /// Writes report.html into a workspace: point cloud, cameras and plots in one file that a
-    /// browser shows offline.
+    /// Writes report.html, to look at a model in a browser.
+    ///
+    /// Point clouds, cameras, rig and plots in one file that a browser shows offline.
     View(View),
-    /// Renders a synthetic street as seen by two cameras on a vehicle, or a collection of photos in
-    /// no order, and writes the ground truth.
+    /// Renders a drive of two cameras, or a collection of photos, with its truth.
     Synth(Synth),
+    /// Renders two drives and compares the constraints of --rig.
+    ///
     /// Needs no data: renders an open street and a loop as seen by two cameras, reconstructs each
     /// with --rig off, paper and auto, and compares the models with the ground truth.
     Demo(Demo),
-    /// Repeats the experiments of Huang, Elhashash & Qin 2022 on rendered images with ground truth,
-    /// and prints the paper's tables. By default a run of a minute or two; --length 2200 --rate 10
-    /// --size 2000x1500 has the size of the paper's data. A COLMAP model in the folder
-    /// colmap/sparse/0 of a workspace gets a column of its own.
+    /// Experiments I and II of Huang, Elhashash & Qin 2022 on rendered images.
+    ///
+    /// Prints the paper's tables beside the ground truth. By default a run of a minute or two;
+    /// --length 2200 --rate 10 --size 2000x1500 has the size of the paper's data. A COLMAP model in
+    /// the folder colmap/sparse/0 of a workspace gets a column of its own.
     #[command(subcommand)]
     Experiment(Experiment),
-    /// Does what COLMAP's commands do, with COLMAP's options of 3.x and 4.x: feature_extractor,
-    /// exhaustive_matcher, sequential_matcher, vocab_tree_matcher, mapper, bundle_adjuster,
-    /// image_undistorter, model_converter, model_aligner, model_analyzer, model_merger,
-    /// point_triangulator, image_registrator and rig_configurator. `tiepoint colmap VERB -h` lists
-    /// the options. Under the name `colmap` (a link to the program) the program is this command.
+    /// COLMAP's commands with COLMAP's options, done by this program.
+    ///
+    /// The options are those of COLMAP 3.x and 4.x. `tiepoint colmap help` lists the commands,
+    /// `tiepoint colmap VERB -h` the options of one. Under the name `colmap` (a link to the
+    /// program) the program is this command.
     #[command(disable_help_flag = true, disable_version_flag = true)]
     Colmap(Colmap),
-    /// Prints the completions of a shell to stdout. The shell reads them from its folder of
-    /// completions.
+    /// Prints the completions of a shell to stdout.
+    ///
+    /// The shell reads them from its folder of completions.
     Completions(Completions),
     /// Prints the manual page of the program or of a command to stdout, in roff.
     Man(Man),
@@ -122,19 +135,13 @@ pub(crate) struct Reconstruct {
     #[command(flatten)]
     pub(crate) seed: Seed,
     /// Also runs the stage dense, as `tiepoint dense` does.
-    #[arg(long)]
+    #[arg(help_heading = "Output", long)]
     pub(crate) dense: bool,
-    /// Largest width and height of the undistorted images and depth maps of --dense, in pixels; by
-    /// default that of the photos.
+    /// Computes this stage and the later ones again.
+    ///
+    /// One of features, match, map or (with --dense) dense.
     #[arg(
-        long,
-        value_name = "PX",
-        requires = "dense",
-        value_parser = clap::value_parser!(u32).range(16..)
-    )]
-    pub(crate) dense_max_size: Option<u32>,
-    /// Computes this stage and all later ones again: features, match, map or (with --dense) dense.
-    #[arg(
+        help_heading = "Output",
         long,
         value_name = "STAGE",
         value_parser = one_of(&Stage::ALL, Stage::name),
@@ -151,6 +158,7 @@ pub(crate) struct Features {
     pub(crate) cameras: Cameras,
     /// Computes this stage again: features.
     #[arg(
+        help_heading = "Output",
         long,
         value_name = "STAGE",
         value_parser = one_of(&Stage::ALL, Stage::name),
@@ -169,6 +177,7 @@ pub(crate) struct Match {
     pub(crate) seed: Seed,
     /// Computes this stage again: match.
     #[arg(
+        help_heading = "Output",
         long,
         value_name = "STAGE",
         value_parser = one_of(&Stage::ALL, Stage::name),
@@ -187,6 +196,7 @@ pub(crate) struct Map {
     pub(crate) seed: Seed,
     /// Computes this stage again: map.
     #[arg(
+        help_heading = "Output",
         long,
         value_name = "STAGE",
         value_parser = one_of(&Stage::ALL, Stage::name),
@@ -205,18 +215,19 @@ pub(crate) struct Localize {
     /// Folder for the model with the photos, as COLMAP's binary files.
     #[arg(short, long = "output", value_name = "OUT")]
     pub(crate) output: PathBuf,
-    /// Known intrinsics of all photos, in pixels, as in `features`. By default those of a camera of
-    /// the model with photos of the same size, body, lens and focal length; else the focal length
-    /// is estimated with the pose.
+    /// Known intrinsics of all photos, in pixels, as in `features`.
+    ///
+    /// By default those of a camera of the model with photos of the same size, body, lens and focal
+    /// length; else the focal length is estimated with the pose.
     #[arg(
         long,
-        value_name = "fx,fy,cx,cy[,k..]",
+        value_name = "fx,fy,cx,cy",
         allow_hyphen_values = true,
         conflicts_with = "focal_prior"
     )]
     pub(crate) intrinsics: Option<NumberList>,
     /// Known intrinsics of single photos, as in `features`.
-    #[arg(long, value_name = "[PATTERN=]FILE[#CAMERA][@WxH]", conflicts_with = "intrinsics")]
+    #[arg(long, value_name = "FILE", conflicts_with = "intrinsics")]
     pub(crate) calibration: Vec<CalibrationSource>,
     /// Initial focal length of all photos, in pixels; it is estimated with the pose.
     #[arg(long, value_name = "PX")]
@@ -226,37 +237,47 @@ pub(crate) struct Localize {
         long,
         value_name = "NAME",
         value_parser = one_of(CameraModelKind::ALL, CameraModelKind::name),
+        hide_possible_values = true,
         ignore_case = true
     )]
     pub(crate) camera_model: Option<CameraModelKind>,
     /// Folder with a mask for each photo, as in `features`.
     #[arg(long, value_name = "DIR")]
     pub(crate) masks: Option<PathBuf>,
+    /// Reduces the photos to this width and height at most, in pixels, as in `features`.
+    #[arg(long, value_name = "PX", value_parser = clap::value_parser!(u32).range(16..))]
+    pub(crate) max_size: Option<u32>,
     #[command(flatten)]
     pub(crate) seed: Seed,
 }
 
 #[derive(Debug, Args)]
 pub(crate) struct Dense {
-    /// A workspace that has a model. The photos must still be where they were.
+    /// A workspace that has a model.
+    ///
+    /// The photos must still be where they were.
     pub(crate) workspace: PathBuf,
-    /// Largest width and height of the undistorted images and depth maps, in pixels; by default
-    /// that of the photos.
+    /// Reduces the photos to this width and height at most, in pixels.
+    ///
+    /// Depth maps and undistorted images have that size. By default they have that of the photos.
     #[arg(long, value_name = "PX", value_parser = clap::value_parser!(u32).range(16..))]
     pub(crate) max_size: Option<u32>,
-    /// Folder with a mask for each photo, left/1.jpg.png for left/1.jpg. No depths are estimated
-    /// where the mask is black.
+    /// Folder with a mask for each photo, left/1.jpg.png for left/1.jpg.
+    ///
+    /// No depths are estimated where the mask is black.
     #[arg(long, value_name = "DIR")]
     pub(crate) masks: Option<PathBuf>,
     /// Also writes normal maps, which COLMAP's stereo_fusion reads.
     #[arg(long)]
     pub(crate) normal_maps: bool,
-    /// Also writes depth maps as PNG of 16 bits a pixel (dense/depth_png), which trainers of
-    /// Gaussian splats read; scale.json there has the depth of one unit.
+    /// Also writes depth maps as 16-bit PNG, as trainers of splats read them.
+    ///
+    /// They are in dense/depth_png; scale.json there has the depth of one unit.
     #[arg(long)]
     pub(crate) depth_pngs: bool,
     /// Computes this stage again: dense.
     #[arg(
+        help_heading = "Output",
         long,
         value_name = "STAGE",
         value_parser = one_of(&Stage::ALL, Stage::name),
@@ -266,15 +287,20 @@ pub(crate) struct Dense {
 }
 
 #[derive(Debug, Args)]
+#[command(next_help_heading = "Input")]
 pub(crate) struct Input {
-    /// A folder of photos, a folder with one sub-folder of photos per camera of a rig, or
-    /// videos (one camera each; the program ffmpeg reads them).
+    /// Folders of photos, or videos.
+    ///
+    /// A folder of photos, a folder with one sub-folder of photos per camera of a rig, or videos
+    /// (one camera each; the program ffmpeg reads them).
     #[arg(required_unless_present = "database", value_name = "INPUT")]
     pub(crate) inputs: Vec<PathBuf>,
-    /// Takes the features of this COLMAP database (of COLMAP, pycolmap, hloc, of any version), and
-    /// its matches or two-view geometries if it has any; then --pairs has no effect. It is copied
-    /// and not changed. Its rigs are not used: give them with --rig-calibration. INPUT is then
-    /// optional: the folder that the names of the images are relative to, for colours.
+    /// Takes the features and matches of a COLMAP database.
+    ///
+    /// Of COLMAP, pycolmap or hloc, of any version. If it has matches or two-view geometries,
+    /// --pairs has no effect. It is copied and not changed. Its rigs are not used: give them with
+    /// --rig-calibration. INPUT is then optional: the folder that the names of the images are
+    /// relative to, for colours.
     #[arg(
         long,
         value_name = "FILE",
@@ -283,26 +309,40 @@ pub(crate) struct Input {
     )]
     pub(crate) database: Option<PathBuf>,
     /// Folder for intermediate files and results: a COLMAP project.
-    #[arg(short, long = "output", value_name = "WORKSPACE")]
+    #[arg(help_heading = "Output", short, long = "output", value_name = "WORKSPACE")]
     pub(crate) output: PathBuf,
-    /// Takes the sharpest of every N frames of a video; 1 takes all. By default the sharpest of
-    /// each tenth of a second, and more where the image moves fast. Videos of one drive give frames
-    /// of the same times. Frames without image motion, as at a stop, are left out.
+    /// Of a video, takes the sharpest of every N frames; 1 takes all.
+    ///
+    /// By default the sharpest of each tenth of a second, and more where the image moves fast.
+    /// Videos of one drive give frames of the same times. Frames without image motion, as at a
+    /// stop, are left out. Photos are all taken.
     #[arg(long, value_name = "N")]
     pub(crate) every: Option<NonZeroUsize>,
-    /// Capture times of the photos: CSV with the header `image,seconds`. By default the times in
-    /// the file names or in EXIF.
+    /// Capture times of the photos: CSV with the header `image,seconds`.
+    ///
+    /// By default the times in the file names or in EXIF.
     #[arg(long, value_name = "FILE.csv")]
     pub(crate) timestamps: Option<PathBuf>,
-    /// Folder with a mask for each photo, left/1.jpg.png for left/1.jpg. No keypoints are detected
-    /// where the mask is black, nor depths with --dense.
+    /// Folder with a mask for each photo, left/1.jpg.png for left/1.jpg.
+    ///
+    /// No keypoints are detected where the mask is black, nor depths with --dense.
     #[arg(long, value_name = "DIR")]
     pub(crate) masks: Option<PathBuf>,
-    /// Skips photos with more than N million pixels. A pixel takes about 16 bytes of memory. As
-    /// many photos are processed at a time as half of the free memory holds.
+    /// Reduces the photos to this width and height at most, in pixels.
+    ///
+    /// Keypoints are detected in the reduced photos; their positions, the intrinsics and the model
+    /// are in pixels of the photos. With --dense, depth maps have the reduced size. By default
+    /// photos are taken as they are.
+    #[arg(long, value_name = "PX", value_parser = clap::value_parser!(u32).range(16..))]
+    pub(crate) max_size: Option<u32>,
+    /// Bound on the size of a photo, against damaged files: larger ones are skipped.
+    ///
+    /// In millions of pixels. A pixel takes about 16 bytes of memory. As many photos are processed
+    /// at a time as half of the free memory holds.
     #[arg(
         long,
         value_name = "N",
+        hide_short_help = true,
         default_value_t = DEFAULT_MAX_PIXELS / MEGA,
         value_parser = clap::value_parser!(u64).range(1..=ABSOLUTE_MAX_PIXELS / MEGA)
     )]
@@ -313,10 +353,13 @@ pub(crate) struct Input {
 pub(crate) const MEGA: u64 = 1_000_000;
 
 #[derive(Debug, Args)]
+#[command(next_help_heading = "Cameras")]
 pub(crate) struct Cameras {
-    /// Photos that share a camera: auto (photos of one folder with the same size, EXIF orientation,
-    /// body, lens and focal length), folder (each folder has one), image (each photo has its own),
-    /// single (all have one).
+    /// Photos that share a camera: auto, folder, image or single.
+    ///
+    /// auto: photos of one folder with the same size, EXIF orientation, body, lens and focal
+    /// length; folder: each folder has one camera; image: each photo has its own; single: all have
+    /// one.
     #[arg(
         long,
         value_name = "GROUPS",
@@ -325,65 +368,78 @@ pub(crate) struct Cameras {
         hide_possible_values = true
     )]
     pub(crate) cameras: CameraGrouping,
-    /// Known intrinsics of all cameras, in pixels; mapping refines them if the images contradict
-    /// them (--calibration-sigma). The centre of the first pixel is (0.5, 0.5) as in COLMAP;
-    /// for intrinsics of OpenCV or KITTI, which have it at (0, 0), add 0.5 to cx and cy. They are
-    /// those of the stored photo and are turned as EXIF says. Four numbers are a PINHOLE camera,
-    /// more are an OPENCV one (k1,k2,p1,p2).
+    /// Known intrinsics of all cameras, in pixels.
+    ///
+    /// Mapping refines them if the images contradict them (--calibration-sigma). The centre of the
+    /// first pixel is (0.5, 0.5) as in COLMAP; for intrinsics of OpenCV or KITTI, which have it at
+    /// (0, 0), add 0.5 to cx and cy. They are those of the stored photo and are turned as EXIF
+    /// says. Four numbers are a PINHOLE camera, more are an OPENCV one (k1,k2,p1,p2).
     #[arg(
         long,
-        value_name = "fx,fy,cx,cy[,k..]",
+        value_name = "fx,fy,cx,cy",
         allow_hyphen_values = true,
         conflicts_with = "focal_prior"
     )]
     pub(crate) intrinsics: Option<NumberList>,
-    /// Known intrinsics of single cameras, as with --intrinsics. FILE is COLMAP's cameras.txt,
-    /// OpenCV's or ROS's YAML, Kalibr's camchain, KITTI's calib.txt or calib_cam_to_cam.txt, each
-    /// with its own pixel centre. With a PATTERN it is for the folders or photos that match (`*`
-    /// any characters, `?` one), so that `*=FILE` is for all; #CAMERA is the name of the camera in
-    /// the file, as `left=calib.txt#P2`. Without a pattern the cameras of the file are those of the
-    /// folders, by name (also camera_name, topic, and the name of a file of one camera) or in their
-    /// order. `@WxH` behind `#` or `#CAMERA` states the image size of a file that has none. A
-    /// calibration of the size of the stored photo is turned as EXIF says. May be given several
-    /// times; the first that is for a photo counts.
-    #[arg(long, value_name = "[PATTERN=]FILE[#CAMERA][@WxH]", conflicts_with = "intrinsics")]
+    /// Known intrinsics of single cameras, from a file.
+    ///
+    /// As [PATTERN=]FILE[#CAMERA][@WxH]. FILE is COLMAP's cameras.txt, OpenCV's or ROS's YAML,
+    /// Kalibr's camchain, KITTI's calib.txt or calib_cam_to_cam.txt, each with its own pixel
+    /// centre. With a PATTERN it is for the folders or photos that match (`*` any characters, `?`
+    /// one), so that `*=FILE` is for all; #CAMERA is the name of the camera in the file, as
+    /// `left=calib.txt#P2`. Without a pattern the cameras of the file are those of the folders, by
+    /// name (also camera_name, topic, and the name of a file of one camera) or in their order.
+    /// `@WxH` behind `#` or `#CAMERA` states the image size of a file that has none. A calibration
+    /// of the size of the stored photo is turned as EXIF says. May be given several times; the
+    /// first that is for a photo counts.
+    #[arg(long, value_name = "FILE", conflicts_with = "intrinsics")]
     pub(crate) calibration: Vec<CalibrationSource>,
-    /// Initial focal length of all cameras, in pixels; it is refined. Smaller photos of a lens that
-    /// EXIF names begin with it scaled to their size. By default from EXIF, else 1.2 times the
-    /// larger image side.
+    /// Initial focal length of all cameras, in pixels; it is refined.
+    ///
+    /// By default from EXIF, else 1.2 times the larger image side. For photos whose lens EXIF names
+    /// it is scaled with the size of the photo.
     #[arg(long, value_name = "PX")]
     pub(crate) focal_prior: Option<PositivePixels>,
-    /// COLMAP's name of the camera model; THIN_PRISM_FISHEYE suits action cameras. In models with
-    /// two focal lengths fx and fy stay equal [default: SIMPLE_RADIAL].
+    /// COLMAP's name of the camera model [default: SIMPLE_RADIAL].
+    ///
+    /// THIN_PRISM_FISHEYE suits action cameras, EQUIRECTANGULAR panoramas. In models with two focal
+    /// lengths fx and fy stay equal. A wrong name lists all.
     #[arg(
         long,
         value_name = "NAME",
         value_parser = one_of(CameraModelKind::ALL, CameraModelKind::name),
+        hide_possible_values = true,
         ignore_case = true
     )]
     pub(crate) camera_model: Option<CameraModelKind>,
 }
 
 #[derive(Debug, Args)]
+#[command(next_help_heading = "Matching")]
 pub(crate) struct Pairs {
-    /// Image pairs to match: auto (all of up to 200 images; of more, neighbours and loops where
-    /// times or numbers show a sequence, else the most similar images), exhaustive (all),
-    /// sequential:N (each image with its N neighbours before and after, within a camera and across
-    /// cameras), sequential:N+ends (also the first N with the last N), sequential:N+loops:K (also
-    /// each image with its K most similar images, to find loops), similar:K (each image with its K
-    /// most similar images only, for unordered photos).
+    /// Image pairs to match: auto, exhaustive, sequential:N or similar:K.
+    ///
+    /// auto: all of up to 200 images; of more, neighbours and loops where times or numbers show a
+    /// sequence, else the most similar images. exhaustive: all. sequential:N: each image with its N
+    /// neighbours before and after, within a camera and across cameras (sequential alone is
+    /// sequential:10). sequential:N+ends: also the first N with the last N. sequential:N+loops:K:
+    /// also each image with its K most similar images, to find loops. similar:K: each image with
+    /// its K most similar images only, for unordered photos.
     #[arg(long, value_name = "SELECTION", default_value_t = PairSelection::Auto)]
     pub(crate) pairs: PairSelection,
 }
 
 #[derive(Debug, Args)]
+#[command(next_help_heading = "Rig and time")]
 pub(crate) struct Mapping {
-    /// Constraint on the relative poses of the cameras of a rig. off: none. paper: the baseline
-    /// constraint of Huang, Elhashash & Qin 2022; the relative pose is the same at consecutive
-    /// frames. soft: one sensor_from_rig per camera with standard deviations as small as held-out
-    /// tracks allow. rigid: one exact sensor_from_rig per camera. auto: the strongest of off, soft
-    /// and rigid that held-out tracks do not contradict. Cameras need not be synchronised: their
-    /// time offsets are estimated (paper: to half a frame interval).
+    /// Constraint between cameras of a rig: auto, off, paper, soft or rigid.
+    ///
+    /// off: none. paper: the baseline constraint of Huang, Elhashash & Qin 2022; the relative pose
+    /// is the same at consecutive frames. soft: one sensor_from_rig per camera with standard
+    /// deviations as small as held-out tracks allow. rigid: one exact sensor_from_rig per camera.
+    /// auto: the strongest of off, soft and rigid that held-out tracks do not contradict. Cameras
+    /// need not be synchronised: their time offsets are estimated (paper: to half a frame
+    /// interval).
     #[arg(
         long,
         value_name = "MODE",
@@ -392,64 +448,79 @@ pub(crate) struct Mapping {
         hide_possible_values = true
     )]
     pub(crate) rig: RigMode,
-    /// Known rigs: COLMAP's rig_config.json (photos of one frame have the same name after their
-    /// image_prefix) or Kalibr's camchain (its cameras are the folders, by name or in their order;
-    /// photos of one frame have the same name, or the same time). Frames are registered as a whole,
-    /// and the extrinsics are kept, unless --refine names them. Intrinsics in the file are used,
-    /// too, where --calibration gives none.
+    /// Known rigs: COLMAP's rig_config.json or Kalibr's camchain.
+    ///
+    /// In rig_config.json photos of one frame have the same name after their image_prefix. The
+    /// cameras of a camchain are the folders, by name or in their order; photos of one frame have
+    /// the same name, or the same time. Frames are registered as a whole, and the extrinsics are
+    /// kept, unless --refine names them. Intrinsics in the file are used, too, where --calibration
+    /// gives none.
     #[arg(
         long,
         value_name = "FILE",
         conflicts_with_all = ["rig", "baseline", "rolling_shutter", "input_model"]
     )]
     pub(crate) rig_calibration: Option<PathBuf>,
-    /// Intrinsics to refine, as a list of focal, principal-point and distortion, or none. Also
-    /// aspect (fx and fy are refined separately; else pixels stay square, which anamorphic video
-    /// does not have) and prism (the thin prism of the model, which stays fixed else). By default
-    /// focal,principal-point,distortion, and known intrinsics only if the images contradict them.
-    /// Known intrinsics have a prior at their values, and with distortion in the list a PINHOLE
-    /// camera becomes an OPENCV one. With extrinsics in the list, those of --rig-calibration are
-    /// refined.
-    #[arg(long, value_name = "LIST", value_parser = refine)]
+    /// Intrinsics to refine: none, or a list as focal,distortion.
+    ///
+    /// By default focal,principal-point,distortion, and known intrinsics only if the images
+    /// contradict them. The list may also have aspect (fx and fy are refined separately; else
+    /// pixels stay square, which anamorphic video does not have) and prism (the thin prism of the
+    /// model; else it stays fixed). Known intrinsics have a prior at their values, and with
+    /// distortion in the list a PINHOLE camera becomes an OPENCV one. With extrinsics in the list,
+    /// those of --rig-calibration are refined.
+    #[arg(help_heading = "Cameras", long, value_name = "LIST", value_parser = refine)]
     pub(crate) refine: Option<Refine>,
-    /// Standard deviation of known intrinsics, in pixels: how far the error of each parameter moves
-    /// the border of the image. By default they are kept unless the images contradict them, and
-    /// then it is 1. With --refine none they are exact.
-    #[arg(long, value_name = "PX")]
+    /// Standard deviation of known intrinsics at the image border, in pixels.
+    ///
+    /// How far the error of each parameter moves the border of the image. By default they are kept
+    /// unless the images contradict them, and then it is 1. With --refine none they are exact.
+    #[arg(help_heading = "Cameras", long, value_name = "PX")]
     pub(crate) calibration_sigma: Option<PositivePixels>,
-    /// Known distance between the first two cameras (in the order of their folders) with its unit,
-    /// m, cm or mm. The model is scaled to it; by default the scale is arbitrary.
+    /// Distance of the first two cameras, with its unit: sets the scale.
+    ///
+    /// In m, cm or mm. The first two cameras are those in the order of their folders. The model is
+    /// scaled to it; by default the scale is arbitrary.
     #[arg(long, value_name = "0.62m", conflicts_with = "input_model")]
     pub(crate) baseline: Option<Metres>,
-    /// Measured positions of the photos: auto (EXIF, or pose_priors of --database), off, or a CSV
-    /// file with the header image,lat,lon,alt (WGS 84, degrees and metres) or image,x,y,z (metres,
-    /// z up), and perhaps sigma or sigma_h,sigma_v (standard deviations in metres, else estimated).
-    /// The model is then in metres, x east, y north, z up, and georeference.json has its origin.
-    /// Positions also take part in the adjustments, if held-out ones say that it helps.
+    /// Where the photos were taken: auto (EXIF), off, or a CSV file.
+    ///
+    /// auto takes positions of EXIF, or pose_priors of --database. A CSV file has the header
+    /// image,lat,lon,alt (WGS 84, degrees and metres) or image,x,y,z (metres, z up), and perhaps
+    /// sigma or sigma_h,sigma_v (standard deviations in metres, else estimated). The model is then
+    /// in metres, x east, y north, z up, and georeference.json has its origin. Positions with stated
+    /// deviations also take part in the adjustments, if held-out ones say that it helps.
     #[arg(
+        help_heading = "Input",
         long,
         value_name = "auto|off|FILE",
         default_value = "auto",
         value_parser = position_priors
     )]
     pub(crate) position_priors: PositionPriors,
-    /// Goes on from this model (folder with a COLMAP model, or workspace): its poses, intrinsics
-    /// and points are initial values, and further photos are registered onto it. The frame and the
-    /// scale of the model stay. Its rigs are left out: all images have independent poses. Images
-    /// are compared by name; those that the workspace lacks stay in the result.
-    #[arg(long, value_name = "MODEL")]
+    /// Goes on from a model, and keeps its frame and scale.
+    ///
+    /// A folder with a COLMAP model, or a workspace. Its poses, intrinsics and points are initial
+    /// values, and further photos are registered onto it. Its rigs are left out: all images have
+    /// independent poses. Images are compared by name; those that the workspace lacks stay in the
+    /// result.
+    #[arg(help_heading = "Input", long, value_name = "MODEL")]
     pub(crate) input_model: Option<PathBuf>,
-    /// With --input-model: the poses of the model stay as they are, and its intrinsics unless
-    /// --refine is given. By default they are refined with the new ones.
-    #[arg(long, requires = "input_model")]
+    /// With --input-model: its poses stay as they are.
+    ///
+    /// Its intrinsics stay, too, unless --refine is given. By default they are refined with the new
+    /// ones.
+    #[arg(help_heading = "Input", long, requires = "input_model")]
     pub(crate) fix_existing_frames: bool,
-    /// Readout time of rolling-shutter cameras from the first row to the last, as 16ms, or
-    /// `estimate`. Needs capture times. By default a global shutter is assumed.
+    /// Readout time of rolling shutters, as 16ms, or `estimate`.
+    ///
+    /// From the first row to the last. Needs capture times. By default a global shutter is assumed.
     #[arg(long, value_name = "16ms", value_parser = readout, allow_hyphen_values = true)]
     pub(crate) rolling_shutter: Option<Readout>,
 }
 
 #[derive(Debug, Args)]
+#[command(next_help_heading = "Output")]
 pub(crate) struct Seed {
     /// Seed of all random numbers.
     #[arg(long, value_name = "N", default_value_t = 0)]
@@ -461,39 +532,48 @@ pub(crate) struct Adjust {
     /// Folder with a COLMAP model, workspace, or BAL problem (a text file).
     #[arg(value_name = "MODEL|PROBLEM.txt")]
     pub(crate) model: PathBuf,
-    /// Where to write the result in the format of the input; without it only the costs are printed.
+    /// Where to write the result; without it only the costs are printed.
+    ///
+    /// In the format of the input.
     #[arg(short, long = "output", value_name = "OUT")]
     pub(crate) output: Option<PathBuf>,
-    /// Replaces a file at the place of the result, whoever made it. Inputs are never replaced, nor
-    /// other files in a folder.
+    /// Replaces a file at the place of the result, whoever made it.
+    ///
+    /// Inputs are never replaced, nor other files in a folder.
     #[arg(long, requires = "output")]
     pub(crate) overwrite: bool,
-    /// Keeps all intrinsics fixed. Without it those of a calibration have a prior at their values,
-    /// and those that mapping kept with --refine none stay fixed.
+    /// Keeps all intrinsics fixed.
+    ///
+    /// Without it those of a calibration have a prior at their values, and those that mapping kept
+    /// with --refine none stay fixed.
     #[arg(long)]
     pub(crate) fix_intrinsics: bool,
 }
 
 #[derive(Debug, Subcommand)]
 pub(crate) enum Evaluate {
-    /// Camera poses: position errors after Sim(3) alignment (ATE), rotation errors, relative-pose
-    /// AUC, focal lengths.
+    /// Camera poses: ATE, rotation errors, relative-pose AUC, focal lengths.
+    ///
+    /// Position errors are those after Sim(3) alignment.
     Poses(EvaluatePoses),
-    /// Point cloud: distances to the nearest points of a reference, such as a laser scan, after
-    /// alignment.
+    /// Point cloud: distances to a reference, as a laser scan.
+    ///
+    /// To the nearest points of the reference, after alignment.
     Cloud(EvaluateCloud),
 }
 
 #[derive(Debug, Args)]
 pub(crate) struct EvaluateCloud {
-    /// PLY, LAS or LAZ file, workspace, or folder with a COLMAP model. LAS and LAZ need a build
-    /// with --features las.
+    /// PLY, LAS or LAZ file, workspace, or folder with a COLMAP model.
+    ///
+    /// LAS and LAZ need a build with --features las.
     pub(crate) cloud: PathBuf,
     /// Reference cloud, in the same formats.
     pub(crate) reference: PathBuf,
-    /// Alignment before distances are measured: similarity (initialised from the principal axes of
-    /// both clouds, refined by ICP), rigid (ICP from the given coordinates), none. ICP with a free
-    /// scale hides scale drift.
+    /// Alignment before distances are measured: similarity, rigid or none.
+    ///
+    /// similarity: initialised from the principal axes of both clouds, refined by ICP. rigid: ICP
+    /// from the given coordinates. ICP with a free scale hides scale drift.
     #[arg(
         long,
         value_name = "FREEDOM",
@@ -502,8 +582,10 @@ pub(crate) struct EvaluateCloud {
         hide_possible_values = true
     )]
     pub(crate) align: Alignment,
-    /// Aligns the cameras of a workspace to these true poses, given in the frame of the reference,
-    /// and refines by rigid ICP alone; scale drift stays visible. FORMAT as in `evaluate poses`.
+    /// Aligns by true camera poses in the frame of the reference.
+    ///
+    /// The cameras of a workspace are aligned to them; then rigid ICP refines, so that scale drift
+    /// stays visible. FORMAT as in `evaluate poses`.
     #[arg(long, value_name = "FORMAT:PATH", conflicts_with = "align")]
     pub(crate) truth: Option<Truth>,
 }
@@ -512,12 +594,15 @@ pub(crate) struct EvaluateCloud {
 pub(crate) struct EvaluatePoses {
     /// Folder with a COLMAP model, or workspace.
     pub(crate) model: PathBuf,
-    /// True poses. FORMAT is strecha (a folder of .camera files), kitti (image number = line number
-    /// from 0), tum (by time), colmap (a model).
+    /// True poses.
+    ///
+    /// FORMAT is strecha (a folder of .camera files), kitti (image number = line number from 0),
+    /// tum (by time), colmap (a model).
     #[arg(long, value_name = "FORMAT:PATH")]
     pub(crate) truth: Truth,
-    /// Compares only images whose names start with this prefix. By default all; for kitti and tum
-    /// those of the first camera.
+    /// Compares only images whose names start with this prefix.
+    ///
+    /// By default all; for kitti and tum those of the first camera.
     #[arg(long, value_name = "PREFIX")]
     pub(crate) images: Option<String>,
 }
@@ -528,13 +613,15 @@ pub(crate) enum ModelCommand {
     Info(ModelInfo),
     /// Applies a similarity transform to poses and points.
     Transform(TransformModel),
-    /// Brings a model into the frame of another one with common images, or of known camera
-    /// positions, by a similarity transform that outliers do not affect.
+    /// Brings a model into the frame of another, or of camera positions.
+    ///
+    /// By a similarity transform that outliers do not affect. The other model has common images.
     Align(AlignModel),
     /// Keeps the points in a box, and the images that see one of them.
     Crop(CropModel),
-    /// Adds the images and points of further models to the first one, in its frame. The models need
-    /// common images with the same keypoints. Adjust the result with `adjust`.
+    /// Adds the images and points of further models to the first one, in its frame.
+    ///
+    /// The models need common images with the same keypoints. Adjust the result with `adjust`.
     Merge(MergeModels),
 }
 
@@ -548,8 +635,9 @@ pub(crate) struct ModelInfo {
 pub(crate) struct TransformModel {
     /// Folder with a COLMAP model, or workspace.
     pub(crate) model: PathBuf,
-    /// Text file with the transform from the old frame to the new one, as COLMAP's
-    /// model_transformer reads it: scale qw qx qy qz tx ty tz.
+    /// Text file with the transform: scale qw qx qy qz tx ty tz.
+    ///
+    /// From the old frame to the new one, as COLMAP's model_transformer reads it.
     #[arg(long, value_name = "FILE")]
     pub(crate) by: PathBuf,
     /// Applies the inverse of the transform.
@@ -571,25 +659,30 @@ const MAX_TRANSFER_ERROR_PX: f64 = 8.0;
 pub(crate) struct AlignModel {
     /// Folder with a COLMAP model, or workspace.
     pub(crate) model: PathBuf,
-    /// The model whose frame the result has: folder or workspace. Points that the same keypoints of
-    /// common images observe in both models are compared.
+    /// The model whose frame the result has: folder or workspace.
+    ///
+    /// Points that the same keypoints of common images observe in both models are compared.
     #[arg(long, value_name = "MODEL")]
     pub(crate) to: Option<PathBuf>,
-    /// Camera positions in the frame that the result has: a text file with a line for each image,
-    /// name x y z; or a CSV file with the header image,lat,lon,alt (WGS 84, degrees and metres),
-    /// after which x is east, y north and z up, or image,x,y,z (metres, z up).
+    /// File with camera positions: lines `name x y z`, or CSV.
+    ///
+    /// They are in the frame that the result has. A CSV file has the header image,lat,lon,alt (WGS
+    /// 84, degrees and metres), after which x is east, y north and z up, or image,x,y,z (metres, z
+    /// up).
     #[arg(long, value_name = "FILE", requires = "max_error")]
     pub(crate) positions: Option<PathBuf>,
-    /// Maximum distance of a camera from its position, in the unit of the file (of
-    /// image,lat,lon,alt in metres). Images farther away are outliers.
+    /// Maximum distance of a camera from its position, in the unit of the file.
+    ///
+    /// Of image,lat,lon,alt in metres. Images farther away are outliers.
     #[arg(long, value_name = "DISTANCE", value_parser = positive, requires = "positions")]
     pub(crate) max_error: Option<f64>,
-    /// Points with measured coordinates and marks in images: gcp_list.txt of OpenDroneMap. A point
-    /// that the others contradict is named and not used; names that begin with CHK- are check
-    /// points, whose errors are printed only.
+    /// Points with coordinates and marks: OpenDroneMap's gcp_list.txt.
+    ///
+    /// A point that the others contradict is named and not used; names that begin with CHK- are
+    /// check points, whose errors are printed only.
     #[arg(long, value_name = "FILE")]
     pub(crate) control_points: Option<PathBuf>,
-    /// With --to: maximum error of a point in the images of the other model, in pixels.
+    /// With --to: maximum error of a point in the other model's images, in pixels.
     #[arg(
         long,
         value_name = "PX",
@@ -603,7 +696,9 @@ pub(crate) struct AlignModel {
     /// Also writes the transform to this file, for `model transform`.
     #[arg(long, value_name = "FILE")]
     pub(crate) save_transform: Option<PathBuf>,
-    /// Replaces the file of --save-transform, whoever made it. Inputs are never replaced.
+    /// Replaces the file of --save-transform, whoever made it.
+    ///
+    /// Inputs are never replaced.
     #[arg(long, requires = "save_transform")]
     pub(crate) overwrite: bool,
 }
@@ -616,7 +711,9 @@ pub(crate) struct CropModel {
     /// The box, in units of the model.
     #[arg(long = "box", value_name = "x1,y1,z1,x2,y2,z2", allow_hyphen_values = true)]
     pub(crate) bounds: Option<CropBox>,
-    /// The box between two quantiles of each coordinate of the points, from 0 to 1, as 0.01,0.99.
+    /// The box between two quantiles of the points, as 0.01,0.99.
+    ///
+    /// Of each coordinate, from 0 to 1.
     #[arg(long, value_name = "q1,q2", allow_hyphen_values = true)]
     pub(crate) quantiles: Option<Quantiles>,
     /// Folder for the new model, in the format of the old one.
@@ -629,8 +726,9 @@ pub(crate) struct MergeModels {
     /// Folders with COLMAP models, or workspaces; two or more.
     #[arg(required = true, num_args = 2.., value_name = "MODEL")]
     pub(crate) models: Vec<PathBuf>,
-    /// Maximum reprojection error, in pixels: of a point in the images of the other model, and of
-    /// the observations of merged points.
+    /// Maximum reprojection error, in pixels.
+    ///
+    /// Of a point in the images of the other model, and of the observations of merged points.
     #[arg(
         long,
         value_name = "PX",
@@ -647,14 +745,17 @@ pub(crate) struct MergeModels {
 pub(crate) struct Export {
     /// Workspace, or folder with a COLMAP model.
     pub(crate) workspace: PathBuf,
+    /// Format: colmap, ply, gltf, nerfstudio, gsplat, openmvs, ... (--help has all).
+    ///
     /// colmap or colmap-text (a folder), ply (point cloud), las (the dense cloud of a workspace, as
     /// LAS or LAZ by the extension; needs a build with the feature las), gltf (binary, .glb:
     /// points, dense cloud and cameras for 3D viewers), tum or kitti (trajectory of the first
     /// camera), bal, openmvs (a folder with scene.mvs and undistorted images), nerfstudio (a folder
     /// with transforms.json, images and cloud), 3dgs-deblur (the same with the velocities and the
-    /// readout time of rolling shutters), gsplat (a folder with images, sparse/0 with the detected
-    /// keypoints, and rolling_shutter.json with viewmats of first and last rows), kalibr
-    /// (camchain.yaml with extrinsics and time offsets of the rig).
+    /// readout time of rolling shutters), gsplat (a folder with the photos, sparse/0 with the
+    /// detected keypoints, and rolling_shutter.json with viewmats of first and last rows), kalibr
+    /// (camchain.yaml with extrinsics and time offsets of the rig). Trainers that want PINHOLE
+    /// images, as Brush and LichtFeld, take the folder of `undistort`.
     #[arg(
         long,
         value_name = "FORMAT",
@@ -665,22 +766,26 @@ pub(crate) struct Export {
     /// The file or folder to write.
     #[arg(short, long = "output", value_name = "PATH")]
     pub(crate) output: PathBuf,
-    /// Replaces a file at the place of the result, whoever made it. Inputs are never replaced, nor
-    /// other files in a folder.
+    /// Replaces a file at the place of the result, whoever made it.
+    ///
+    /// Inputs are never replaced, nor other files in a folder.
     #[arg(long)]
     pub(crate) overwrite: bool,
-    /// The folder that the names of the model's images begin in; by default the photos are the
-    /// inputs of the workspace.
+    /// The folder that the names of the model's images are relative to.
+    ///
+    /// By default the photos are the inputs of the workspace.
     #[arg(long, value_name = "DIR")]
     pub(crate) images: Option<PathBuf>,
-    /// First adjusts the model with exact rig extrinsics (one sensor_from_rig per camera), whatever
-    /// --rig it was mapped with, and writes rigs and frames. Prints the reprojection error before
-    /// and after.
+    /// First adjusts the model with exact rig extrinsics.
+    ///
+    /// One sensor_from_rig per camera, whatever --rig it was mapped with. Writes rigs and frames,
+    /// and prints the reprojection error before and after.
     #[arg(long)]
     pub(crate) rigid: bool,
-    /// Writes the keypoints that were detected in the photos, as database.db has them. By default
-    /// those of the model, which with --rolling-shutter are where a global shutter would have seen
-    /// them. gsplat always gets the detected ones.
+    /// Writes the keypoints as they were detected in the photos.
+    ///
+    /// As database.db has them. By default those of the model, which with --rolling-shutter are
+    /// where a global shutter would have seen them. gsplat always gets the detected ones.
     #[arg(long, conflicts_with = "rigid")]
     pub(crate) detected_keypoints: bool,
 }
@@ -689,31 +794,39 @@ pub(crate) struct Export {
 pub(crate) struct Undistort {
     /// Workspace, or folder with a COLMAP model.
     pub(crate) model: PathBuf,
-    /// Output folder. Files of an earlier run are replaced, others never.
+    /// Output folder.
+    ///
+    /// Files of an earlier run are replaced, others never.
     #[arg(short, long = "output", value_name = "DIR")]
     pub(crate) output: PathBuf,
-    /// The folder that the names of the model's images begin in; by default the photos are the
-    /// inputs of the workspace.
+    /// The folder that the names of the model's images are relative to.
+    ///
+    /// By default the photos are the inputs of the workspace.
     #[arg(long, value_name = "DIR")]
     pub(crate) images: Option<PathBuf>,
-    /// Folder with a mask for each photo, left/1.jpg.png for left/1.jpg. Writes masks of all
-    /// undistorted images, black where the mask is black and where a pixel has no source.
+    /// Folder with a mask for each photo, left/1.jpg.png for left/1.jpg.
+    ///
+    /// Writes masks of all undistorted images, black where the mask is black and where a pixel has
+    /// no source.
     #[arg(long, value_name = "DIR")]
     pub(crate) masks: Option<PathBuf>,
-    /// Writes the keypoints that were detected in the photos. By default those of the model, which
-    /// with --rolling-shutter are where a global shutter would have seen them.
+    /// Writes the keypoints that were detected in the photos.
+    ///
+    /// By default those of the model, which with --rolling-shutter are where a global shutter would
+    /// have seen them.
     #[arg(long)]
     pub(crate) detected_keypoints: bool,
-    /// Also writes the images (and masks) at these fractions of the size, rounded down: 2,4,8
-    /// gives images_2, images_4 and images_8.
+    /// Also writes images at fractions of the size, as 2,4,8.
+    ///
+    /// With their masks, rounded down: 2,4,8 gives images_2, images_4 and images_8.
     #[arg(
         long,
         value_name = "N,..",
         value_delimiter = ',',
-        value_parser = clap::value_parser!(u32).range(2..=64)
+        value_parser = downscale
     )]
     pub(crate) downscale: Vec<u32>,
-    /// Blank pixels in the undistorted images: 0 none, 1 as many as all pixels of the photo need.
+    /// Blank pixels: 0 none, 1 as many as all pixels of the photo need.
     #[arg(long, value_name = "SHARE", default_value_t = UndistortOptions::default().blank_pixels)]
     pub(crate) blank_pixels: f64,
     /// Smallest size of the undistorted images, relative to the photos.
@@ -722,9 +835,9 @@ pub(crate) struct Undistort {
     /// Largest size of the undistorted images, relative to the photos.
     #[arg(long, value_name = "SCALE", default_value_t = UndistortOptions::default().max_scale)]
     pub(crate) max_scale: f64,
-    /// Largest width and height of the undistorted images, in pixels.
+    /// Reduces the undistorted images to this width and height at most, in pixels.
     #[arg(long, value_name = "PX", value_parser = clap::value_parser!(u32).range(1..))]
-    pub(crate) max_image_size: Option<u32>,
+    pub(crate) max_size: Option<u32>,
 }
 
 #[derive(Debug, Args)]
@@ -735,13 +848,15 @@ pub(crate) struct View {
 
 #[derive(Debug, Args)]
 pub(crate) struct Synth {
-    /// Output folder: gets left/, right/, timestamps.csv and truth/, of a collection photos/ and
-    /// truth/. It must be new, empty, or from the same command.
+    /// Output folder; it must be new, empty, or from the same command.
+    ///
+    /// It gets left/, right/, timestamps.csv and truth/, of a collection photos/ and truth/.
     #[arg(short, long = "output", value_name = "DIR")]
     pub(crate) output: PathBuf,
-    /// Renders no drive but photos of three cameras in no order: of an object on a table, of a room
-    /// from inside, of streets from a drone, of the facades of a street, of two identical houses
-    /// (twins; twins-apart has no photos between them).
+    /// Renders no drive but photos of three cameras in no order.
+    ///
+    /// Of an object on a table, of a room from inside, of streets from a drone, of the facades of a
+    /// street, of two identical houses (twins; twins-apart has no photos between them).
     #[arg(
         long,
         value_name = "KIND",
@@ -767,8 +882,10 @@ pub(crate) struct Synth {
     /// Images per second of each camera.
     #[arg(long, value_name = "HZ", default_value_t = 10.0)]
     pub(crate) rate: f64,
-    /// Route: loop (around a block, back to the start and a little further), open (one way) or
-    /// highway (straight at 24 to 30 m/s, with little beside it).
+    /// Route: loop, open or highway.
+    ///
+    /// loop: around a block, back to the start and a little further. open: one way. highway:
+    /// straight at 24 to 30 m/s, with little beside it.
     #[arg(
         long,
         value_name = "ROUTE",
@@ -777,8 +894,9 @@ pub(crate) struct Synth {
         hide_possible_values = true
     )]
     pub(crate) route: RouteKind,
-    /// What carries the cameras: car, handheld (at walking pace on the pavement) or drone (above
-    /// the roofs, looking obliquely down).
+    /// What carries the cameras: car, handheld or drone.
+    ///
+    /// handheld: at walking pace on the pavement. drone: above the roofs, looking obliquely down.
     #[arg(
         long,
         value_name = "CARRIER",
@@ -790,8 +908,9 @@ pub(crate) struct Synth {
     /// Length of the street, in metres.
     #[arg(long, value_name = "M", default_value_t = 200.0)]
     pub(crate) length: f64,
-    /// Viewing direction of both cameras, half a metre apart: front, front-right, right, rear or
-    /// left.
+    /// Viewing direction: front, front-right, right, rear or left.
+    ///
+    /// Of both cameras, half a metre apart.
     #[arg(
         long,
         value_name = "DIRECTION",
@@ -800,23 +919,30 @@ pub(crate) struct Synth {
         hide_possible_values = true
     )]
     pub(crate) view_direction: ViewDirection,
-    /// Imperfections to simulate: none, all, or a list joined by + of lens, rolling-shutter,
-    /// vibration, misalignment, traffic, clocks, photometry and lens-field (a smooth displacement
-    /// of 0.15 px that no camera model describes; not in all).
+    /// Imperfections to simulate: none, all, or names joined by +.
+    ///
+    /// lens, rolling-shutter, vibration, misalignment, traffic, clocks, photometry and lens-field
+    /// (a smooth displacement of 0.15 px that no camera model describes; not in all).
     #[arg(long, value_name = "NAMES", default_value = "none")]
     pub(crate) effects: Effects,
-    /// Also writes truth/scan.ply, the cloud of a laser scanner on the roof, for `evaluate cloud`.
+    /// Also writes the cloud of a laser scanner, truth/scan.ply.
+    ///
+    /// The scanner is on the roof. The cloud is for `evaluate cloud`.
     #[arg(long)]
     pub(crate) scan: bool,
-    /// Also writes truth/depth_maps, the true depth of each pixel centre as a depth map of COLMAP;
-    /// 0 on the sky and on moving cars.
+    /// Also writes the true depth maps, truth/depth_maps.
+    ///
+    /// The true depth of each pixel centre as a depth map of COLMAP; 0 on the sky and on moving
+    /// cars.
     #[arg(long)]
     pub(crate) depths: bool,
 }
 
 #[derive(Debug, Args)]
 pub(crate) struct Demo {
-    /// Output folder. The same command resumes an interrupted run.
+    /// Output folder.
+    ///
+    /// The same command resumes an interrupted run.
     #[arg(short, long = "output", value_name = "DIR", default_value = "tiepoint-demo")]
     pub(crate) output: PathBuf,
     /// Renders at most the first N images of each camera of each drive.
@@ -832,10 +958,11 @@ pub(crate) struct Demo {
 
 #[derive(Debug, Subcommand)]
 pub(crate) enum Experiment {
-    /// Experiment I: one camera that looks to the front, right, rear and left in turn.
+    /// Experiment I: one camera that looks front, right, rear and left in turn.
     Mounting(Scenery),
-    /// Experiment II: two cameras half a metre apart that look to the right, with and without a rig
-    /// constraint.
+    /// Experiment II: two cameras, with and without a rig constraint.
+    ///
+    /// They are half a metre apart and look to the right.
     Baseline {
         #[command(flatten)]
         scenery: Scenery,
@@ -854,7 +981,9 @@ pub(crate) enum Experiment {
 
 #[derive(Debug, Args)]
 pub(crate) struct Scenery {
-    /// Output folder. The same command resumes an interrupted run.
+    /// Output folder.
+    ///
+    /// The same command resumes an interrupted run.
     #[arg(short, long = "output", value_name = "DIR", default_value = "tiepoint-experiment")]
     pub(crate) output: PathBuf,
     /// Renders only the first N images of each camera; by default the whole loop.

@@ -16,7 +16,7 @@ pub(crate) enum Reader {
 }
 
 /// Options of the libraries, and their flags.
-const OPTIONS: [(&str, &str); 35] = [
+const OPTIONS: [(&str, &str); 36] = [
     ("dense.depth_pngs", "--depth-pngs"),
     ("dense.max_image_size", "--max-size"),
     ("dense.normal_maps", "--normal-maps"),
@@ -31,6 +31,7 @@ const OPTIONS: [(&str, &str); 35] = [
     ("features.intrinsics", "--intrinsics"),
     ("features.masks", "--masks"),
     ("features.max_megapixels", "--max-megapixels"),
+    ("features.max_size", "--max-size"),
     ("features.timestamps", "--timestamps"),
     ("mapper.baseline", "--baseline"),
     ("mapper.calibration_sigma", "--calibration-sigma"),

@@ -160,6 +160,15 @@ impl tiepoint_experiments::Progress for Progress {
         Self::watch(self, event)
     }
 
+    fn step(&mut self, number: usize, total: usize, what: &str) {
+        let event = serde_json::json!({
+            "event": "step", "number": number, "total": total, "what": what
+        });
+        if !self.output.progress(&event) {
+            self.print_line(&format!("step {number} of {total}: {what}"));
+        }
+    }
+
     fn rendering(&mut self, image: &str, done: usize, total: usize) -> ControlFlow<()> {
         let event = serde_json::json!({
             "event": "rendering", "image": image, "done": done, "total": total

@@ -10,7 +10,7 @@ use tiepoint_pipeline::evaluation::{
 use tiepoint_pipeline::models::RigidReport;
 use tiepoint_pipeline::sfm::geometry::CameraModelKind;
 use tiepoint_pipeline::workspace::{
-    ConstraintKind, DenseReport, ModelReport, RigCamera, RigClockState, SplitReport,
+    ConstraintKind, DenseReport, ModelReport, RigCamera, RigClockState, SplitReport, verdict,
     why_unregistered,
 };
 
@@ -29,8 +29,52 @@ pub(crate) fn report(workspace: &Path, report: &Report) -> String {
         let label = if index == 0 { "warnings" } else { "" };
         let _ = writeln!(text, "{label:<9} {}", printable(&warning.to_string()));
     }
+    for (index, sentence) in verdict(report).iter().enumerate() {
+        let label = if index == 0 { "result" } else { "" };
+        let _ = writeln!(text, "{label:<9} {}", printable(sentence));
+    }
+    for (index, (command, why)) in next_commands(workspace, report).iter().enumerate() {
+        let label = if index == 0 { "next" } else { "" };
+        let _ = writeln!(text, "{label:<9} {}  {why}", printable(command));
+    }
     let _ = writeln!(text, "in {}", printable(&workspace.display().to_string()));
     text
+}
+
+/// What may be done next with a workspace: commands, and what each is for.
+fn next_commands(workspace: &Path, report: &Report) -> Vec<(String, &'static str)> {
+    let workspace = shell_word(workspace);
+    let stages = &report.stages;
+    let Some(model) = report.models.first() else {
+        let next = if stages.matches.is_some() { "map" } else { "match" };
+        return vec![(format!("tiepoint {next} {workspace}"), "the next stage")];
+    };
+    let mut commands = vec![
+        (format!("tiepoint view {workspace}"), "writes report.html, to look at it in a browser"),
+        (
+            format!("tiepoint undistort {workspace} -o splats"),
+            "images and model as trainers of Gaussian splats read them",
+        ),
+    ];
+    if stages.dense.is_none() {
+        let what = "depth maps and a dense cloud";
+        commands.push((format!("tiepoint dense {workspace}"), what));
+    }
+    if model.rig.is_some() && model.scale.is_none() {
+        let what = "in metres, with the distance of the first two cameras; the scale is arbitrary";
+        commands.push((format!("tiepoint map {workspace} --redo map --baseline 0.62m"), what));
+    }
+    commands
+}
+
+/// A path as a word of a shell's command line.
+fn shell_word(path: &Path) -> String {
+    let text = path.display().to_string();
+    let is_plain = |c: char| c.is_alphanumeric() || "/._-+:@%\\".contains(c);
+    match text.chars().all(is_plain) {
+        true => text,
+        false => format!("'{}'", text.replace('\'', "'\\''")),
+    }
 }
 
 /// The stages and models.
@@ -170,8 +214,8 @@ fn stages(report: &Report) -> String {
             false => format!(", none for {}", names(without_depth_map)),
         };
         line(format_args!(
-            "dense     {depth_maps} depth maps of {megapixels:.1} megapixels{without}, {points} \
-            points  ({seconds:.1} s)"
+            "dense     dense/fused.ply: {points} points from {depth_maps} depth maps of together \
+            {megapixels:.1} megapixels{without}  ({seconds:.1} s)"
         ));
     }
     text
@@ -311,7 +355,7 @@ pub(crate) fn poses(evaluation: &PoseEvaluation) -> String {
     let PoseEvaluation { images, registered, scale, centre_error, rotation_error_deg, .. } =
         evaluation;
     let mut text = format!(
-        "{registered} of {images} images, scale {scale:.6}\n\
+        "{registered} of {images} images, scale {scale:.6}, lengths in units of the truth\n\
          centre error    mean {:.6}  median {:.6}  rmse (ATE) {:.6}  max {:.6}\n\
          rotation error  mean {:.4}°  median {:.4}°  max {:.4}°\n\
          relative poses ",
@@ -325,6 +369,9 @@ pub(crate) fn poses(evaluation: &PoseEvaluation) -> String {
     );
     for auc in &evaluation.relative_pose_auc {
         let _ = write!(text, " AUC@{}° {:.2} %", auc.threshold_deg, 100.0 * auc.auc);
+    }
+    if registered < images {
+        text += "  (pairs without both poses count as wrong)";
     }
     text.push('\n');
     for focal in &evaluation.focal_lengths {

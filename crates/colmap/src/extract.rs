@@ -13,7 +13,7 @@ use tiepoint_pipeline::io::database::Database;
 use tiepoint_pipeline::io::features::{Extractor, Features, SiftExtractor};
 use tiepoint_pipeline::sfm::geometry::{CameraModelKind, Intrinsics};
 use tiepoint_pipeline::sfm::scene::{Camera, CameraId, Image, ImageId};
-use tiepoint_pipeline::stages::{extract_image, memory_of};
+use tiepoint_pipeline::stages::{extract_photo, memory_of};
 use tiepoint_pipeline::{Error, Event, Stage, Watch, emit};
 
 use super::scene::open_to_add;
@@ -156,8 +156,8 @@ pub fn extract(
             Err(reason) => skip(&image.name, &reason, watch)?,
         }
     }
-    let extractor = &*options.extractor;
-    let work = |task: &Task| extract_one(&folder, task, options.max_image_size, extractor);
+    let (extractor, most) = (&*options.extractor, options.max_image_size);
+    let work = |task: &Task| extract_photo(extractor, &folder, task.index, most);
     let (mut taken_images, mut keypoints) = (0, 0);
     let taken = for_each_within_budget(
         budget_bytes(),
@@ -347,43 +347,4 @@ impl<'a> Cameras<'a> {
         self.written[number] = Some(id);
         Ok(())
     }
-}
-
-fn extract_one(
-    folder: &ImageFolder,
-    task: &Task,
-    max_image_size: Option<u32>,
-    extractor: &dyn Extractor,
-) -> Result<Features, Error> {
-    let (image, mask) = (folder.luma(task.index)?, folder.mask(task.index)?);
-    let reduced = max_image_size.and_then(|most| reduced_size(image.width, image.height, most));
-    match reduced {
-        None => extract_image(extractor, &image, mask.as_ref()),
-        Some((width, height)) => {
-            let small = image.resized(width, height);
-            let mask = mask.map(|mask| mask.resized(width, height));
-            let mut features = extract_image(extractor, &small, mask.as_ref())?;
-            let x = image.width as f32 / width as f32;
-            let y = image.height as f32 / height as f32;
-            for keypoint in &mut features.keypoints {
-                keypoint.x *= x;
-                keypoint.y *= y;
-                keypoint.scale *= 0.5 * (x + y);
-            }
-            Ok(features)
-        }
-    }
-}
-
-/// The size of an image with its larger side reduced to `most`; `None` if it is smaller.
-fn reduced_size(width: u32, height: u32, most: u32) -> Option<(u32, u32)> {
-    let longest = width.max(height);
-    if longest <= most {
-        return None;
-    }
-    let scaled = |side: u32| {
-        let side = f64::from(side) * f64::from(most) / f64::from(longest);
-        (side.round() as u32).max(1)
-    };
-    Some((scaled(width), scaled(height)))
 }

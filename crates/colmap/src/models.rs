@@ -1,11 +1,12 @@
-//! `bundle_adjuster`, `model_aligner`, `model_converter` and `model_merger`: models in folders that
-//! may be input and output at once.
+//! `bundle_adjuster`, `color_extractor`, `model_aligner`, `model_converter`, `model_merger` and
+//! `model_orientation_aligner`: models in folders that may be input and output at once.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use serde::Serialize;
+use tiepoint_pipeline::input::ImageFolder;
 use tiepoint_pipeline::io::colmap::{Format, read_model};
 use tiepoint_pipeline::io::names::ByName;
 use tiepoint_pipeline::io::{ply, positions, similarity};
@@ -13,9 +14,10 @@ use tiepoint_pipeline::models::{AdjustReport, SimilarityInfo};
 use tiepoint_pipeline::sfm;
 use tiepoint_pipeline::sfm::adjust::{AdjustOptions, RefineIntrinsics, Scope};
 use tiepoint_pipeline::sfm::geometry::nalgebra::{Matrix3, UnitQuaternion, Vector3};
-use tiepoint_pipeline::sfm::geometry::{Loss, RansacOptions, Sim3, estimate};
+use tiepoint_pipeline::sfm::geometry::{Loss, RansacOptions, Sim3, estimate, so3};
 use tiepoint_pipeline::sfm::model_tools::merge_model;
 use tiepoint_pipeline::sfm::scene::{ImageId, Reconstruction};
+use tiepoint_pipeline::stages::color_points;
 use tiepoint_pipeline::store::{Replace, write_file};
 use tiepoint_pipeline::workspace::{PLY_MARK, model_files};
 use tiepoint_pipeline::{Error, Event, Watch};
@@ -80,6 +82,8 @@ pub fn adjust(
 pub enum AlignedTo<'a> {
     /// The plane of the points: it becomes z = 0, with the cameras on the positive side.
     Plane,
+    /// The mean up direction of the images, which becomes −y.
+    Upright,
     /// A text file with lines `name x y z`: camera centres.
     Positions {
         /// The file.
@@ -124,6 +128,11 @@ pub fn align(
     let mut inputs = Vec::new();
     let (new_from_old, mean_distance) = match to {
         AlignedTo::Plane => (plane_from_world(&model).map_err(failed)?, None),
+        AlignedTo::Upright => {
+            let rotations = model.registered().map(|(.., pose)| &pose.rotation);
+            let rotation = so3::upright(rotations, &-Vector3::y());
+            (Sim3 { rotation, ..Sim3::identity() }, None)
+        }
         AlignedTo::Positions { path, max_error, min_common_images } => {
             let file = ByName::new(positions::read(path)?);
             inputs.push(path.to_owned());
@@ -210,6 +219,20 @@ fn similarity_of(
         .filter(|found| found.num_inliers >= required)
         .map(|found| found.model)
         .ok_or_else(|| "has too few images that fit one similarity to the positions in".to_owned())
+}
+
+/// Colours the points of a model by photos, whose names are relative to the folder `images`.
+/// Returns the number of points.
+///
+/// # Errors
+///
+/// The model or a photo cannot be read, or writing fails.
+pub fn color(input: &Path, images: &Path, output: &Path) -> Result<usize, Error> {
+    let mut model = read_model(input)?;
+    let folder = ImageFolder::as_stored(images, None)?;
+    color_points(&folder, std::iter::once(&mut model))?;
+    write_model(output, &model, Format::Binary)?;
+    Ok(model.num_tracks())
 }
 
 /// Writes a model in a format of COLMAP into a folder.

@@ -26,6 +26,19 @@ pub(super) fn open_to_add(path: &Path) -> Result<Database, Error> {
     Ok(Database::open(path)?)
 }
 
+/// Creates an empty database. A database that is there stays as it is.
+///
+/// # Errors
+///
+/// The file cannot be written, or is no database.
+pub fn create_database(path: &Path) -> Result<(), Error> {
+    let database = match path.exists() {
+        true => Database::open_read_only(path)?,
+        false => Database::create(path)?,
+    };
+    Ok(database.close()?)
+}
+
 /// The scene of a database without poses. Cameras and images have the ids of the database.
 pub(super) fn read_scene(database: &Database) -> Result<Reconstruction, Error> {
     let mut scene = workspace::read_scene(database)?;

@@ -11,7 +11,7 @@ use tiepoint_pipeline::evaluation::{
     evaluate_poses, evaluate_rig, evaluate_surface, register_cloud,
 };
 use tiepoint_pipeline::sfm::scene::{Image, ImageId, Reconstruction};
-use tiepoint_pipeline::workspace::LocatedModel;
+use tiepoint_pipeline::workspace::{LocatedModel, RigFile};
 use tiepoint_report::CameraError;
 use tiepoint_synth::Drive;
 
@@ -23,6 +23,8 @@ pub(crate) struct DriveEvaluation {
     pub(crate) poses: PoseEvaluation,
     /// The largest model, with the capture times of its images.
     pub(crate) model: Reconstruction,
+    /// Extrinsics and clocks of its rig.
+    pub(crate) rig: Option<RigFile>,
     pub(crate) camera_errors: Vec<CameraError>,
     pub(crate) baseline: Option<RigEvaluation>,
     pub(crate) surface: Option<SurfaceEvaluation>,
@@ -48,6 +50,7 @@ pub(crate) fn evaluate_drive(
 ) -> Result<DriveEvaluation, Error> {
     let truth = Truth { format: TruthFormat::Colmap, path: truth.to_owned() };
     let located = LocatedModel::open(workspace)?;
+    let rig = located.rig.clone();
     let poses = evaluate_poses(&located, &truth, None)?;
     let model = with_stamps(located.reconstruction, drive);
     let world_from_model = poses.truth_from_model;
@@ -70,17 +73,23 @@ pub(crate) fn evaluate_drive(
     let exact: Vec<Vector3<f64>> =
         exact.filter(|point| is_near(&|error| error.true_centre, point)).collect();
     let exact_cloud = register(&exact, Alignment::None);
-    let baseline = evaluate_rig(&model, poses.scale).into_iter().next();
-    Ok(DriveEvaluation { poses, model, camera_errors, baseline, surface, cloud, exact_cloud })
+    // Without the clock of the rig, so that models with and without one are measured alike.
+    let baseline = evaluate_rig(&model, None, poses.scale).into_iter().next();
+    Ok(DriveEvaluation { poses, model, rig, camera_errors, baseline, surface, cloud, exact_cloud })
 }
 
-/// The largest model of a workspace, with the time stamps of its images on their cameras' clocks.
+/// The largest model of a workspace, with the time stamps of its images on their cameras' clocks,
+/// and its rig.
 ///
 /// # Errors
 ///
 /// The model cannot be read.
-pub(crate) fn read_drive_model(workspace: &Path, drive: &Drive) -> Result<Reconstruction, Error> {
-    Ok(with_stamps(LocatedModel::open(workspace)?.reconstruction, drive))
+pub(crate) fn read_drive_model(
+    workspace: &Path,
+    drive: &Drive,
+) -> Result<(Reconstruction, Option<RigFile>), Error> {
+    let located = LocatedModel::open(workspace)?;
+    Ok((with_stamps(located.reconstruction, drive), located.rig))
 }
 
 /// A model with the time stamps of its images on their cameras' clocks.

@@ -39,6 +39,9 @@ pub enum PairSelection {
     },
 }
 
+/// Neighbours before and after an image if no number is given, as in COLMAP.
+const DEFAULT_OVERLAP: u32 = 10;
+
 impl FromStr for PairSelection {
     type Err = Error;
 
@@ -52,6 +55,10 @@ impl FromStr for PairSelection {
         match text {
             "auto" => return Ok(PairSelection::Auto),
             "exhaustive" => return Ok(PairSelection::Exhaustive),
+            "sequential" => {
+                let (overlap, is_closed, loops) = (DEFAULT_OVERLAP, false, 0);
+                return Ok(PairSelection::Sequential { overlap, is_closed, loops });
+            }
             _ => {}
         }
         if let Some(digits) = text.strip_prefix("similar:") {

@@ -254,11 +254,21 @@ pub enum Error {
         /// The model.
         path: PathBuf,
     },
+    /// A rig constraint was asked for, and there is one camera.
+    #[error(
+        "`mapper.rig` needs two cameras, and the images are of one, {camera}: put the photos of \
+        each camera into a folder of its own, without `features.cameras` single, or choose \
+        `mapper.rig` off"
+    )]
+    OneCamera {
+        /// Its stream.
+        camera: String,
+    },
     /// A rig constraint was asked for, and no two cameras have synchronous images.
     #[error(
-        "`mapper.rig` needs two cameras with images of the same times, and in {path} no two of \
-        {cameras} cameras have them: put the photos of each camera into a folder of its own, \
-        without `features.cameras` single, give their times to `stage.features` with \
+        "`mapper.rig` needs two cameras with images of the same times, and of the {cameras} \
+        cameras of {path} no two have them: put the photos of each camera into a folder of its \
+        own, without `features.cameras` single, give their times to `stage.features` with \
         `features.timestamps` FILE.csv, or choose `mapper.rig` off"
     )]
     NoSynchronousImages {
@@ -513,6 +523,12 @@ pub enum Error {
     NoImagePlane {
         /// The name of an image.
         image: String,
+    },
+    /// glTF is written in its binary form, and the file would be read as text.
+    #[error("{path}: programs read a .gltf file as text, and this one is binary: name it .glb")]
+    BinaryGltf {
+        /// The file.
+        path: PathBuf,
     },
     /// The build lacks the feature `las`.
     #[error(

@@ -5,6 +5,7 @@ mod depth_pictures;
 mod page;
 mod page_file;
 mod photos;
+mod rig_table;
 mod table;
 
 pub use depth_pictures::DenseView;

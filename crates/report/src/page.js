@@ -53,7 +53,7 @@ function showPhoto(section, photos, image) {
   if (!image) return;
   const { images } = section.views.find(view => view.images.includes(image));
   const button = (text, title, act) => {
-    const made = element('button', { title }, text);
+    const made = element('button', { title, 'aria-label': title }, text);
     made.onclick = act;
     return made;
   };
@@ -61,7 +61,10 @@ function showPhoto(section, photos, image) {
     const next = (images.indexOf(image) + by + images.length) % images.length;
     showPhoto(section, photos, images[next]);
   };
-  const canvas = element('canvas', { title: image.name });
+  const canvas = element('canvas', {
+    role: 'img',
+    'aria-label': `${image.name} with its keypoints`,
+  });
   const photo = photos[image.name];
   const box = (key, kind, text) => {
     const input = element('input', { type: 'checkbox' });
@@ -103,8 +106,7 @@ addEventListener('keydown', event => {
 // ---- Sections ----
 function plotsOf(model) {
   const plots = element('div', { class: 'plots' });
-  const add = (title, content) =>
-    plots.append(element('div', {}, element('h3', {}, title), content));
+  const add = (title, content) => plots.append(titled(title, content));
   if (model.trajectory) {
     const { path_length, horizontal, vertical } = model.trajectory;
     add(
@@ -128,7 +130,8 @@ function plotsOf(model) {
   );
   for (const rig of model.rigs) {
     add(
-      `Distance ${rig.cameras[0]} – ${rig.cameras[1]} over time (${model.unit})`,
+      `Distance ${rig.cameras[0]} – ${rig.cameras[1]} over time (${model.unit}), ` +
+        (rig.has_clock ? 'at the times of the clock' : 'images nearest in time'),
       lines([rig.times_s], [rig.baselines], 's'),
     );
     const times = rig.rotations_deg.map(() => rig.times_s);
@@ -145,6 +148,7 @@ function plotsOf(model) {
   return plots;
 }
 
+// What is shown of a model: views, and plots below them if it is alone.
 function column(section, model, isAlone) {
   const photos = model.photos === null ? {} : data.photos[model.photos];
   const place = model => {
@@ -159,11 +163,11 @@ function column(section, model, isAlone) {
       'div',
       {},
       element('h3', {}, name),
-      element('img', { src: `data:image/png;base64,${png}`, alt: '' }),
+      element('img', { src: `data:image/png;base64,${png}`, alt: `depth map of ${name}` }),
     );
   const denseView = () => [
     element('h3', {}, 'Dense cloud'),
-    place({ ...dense, cameras: model.cameras, trajectory: null }),
+    place({ ...model, ...dense, name: 'the dense cloud', trajectory: null }),
     element(
       'p',
       { class: 'note' },
@@ -173,10 +177,7 @@ function column(section, model, isAlone) {
     element('div', { class: 'depths' }, ...dense.pictures.map(picture)),
   ];
   const green = model.trajectory ? '. The green line is the true trajectory' : '';
-  return element(
-    'section',
-    {},
-    ...(isAlone ? [] : [element('h3', {}, model.name)]),
+  const main = [
     place(model),
     element(
       'p',
@@ -184,10 +185,10 @@ function column(section, model, isAlone) {
       `${model.num_images} images, ${model.num_points} points${shown}${green}.`,
     ),
     ...(dense ? denseView() : []),
-    isAlone
-      ? plotsOf(model)
-      : element('details', {}, element('summary', {}, 'Plots'), plotsOf(model)),
-  );
+  ];
+  if (isAlone) return { main, plots: plotsOf(model) };
+  const plots = element('details', {}, element('summary', {}, 'Plots'), plotsOf(model));
+  return { main: [element('h3', {}, model.name), ...main, plots], plots: null };
 }
 
 // Buttons and choices for the views of a section.
@@ -210,7 +211,8 @@ function tools(section) {
   };
   const { images, photos } = section.views[0];
   const names = images.map(({ name }) => element('option', {}, name));
-  const list = element('select', {}, element('option', { value: '' }, 'photo of …'), ...names);
+  const none = element('option', { value: '' }, 'photo of …');
+  const list = element('select', { 'aria-label': 'photo of a camera' }, none, ...names);
   list.onchange = () => {
     const image = images.find(({ name }) => name === list.value);
     list.value = '';
@@ -228,28 +230,42 @@ function tools(section) {
 }
 
 startRenderer();
-for (const { heading, note, tables, models } of data.sections) {
+for (const { heading, note, alerts, tables, models } of data.sections) {
   const section = renderer && makeSection();
-  const place = element('div', { class: 'models' });
-  place.style.gridTemplateColumns = `repeat(${Math.min(models.length, 3)}, minmax(0, 1fr))`;
-  place.append(...models.map(model => column(section, model, models.length === 1)));
+  const isAlone = models.length === 1;
+  const columns = models.map(model => column(section, model, isAlone));
   const compared = models.filter(model => model.trajectory);
   const help =
-    'Drag to rotate, shift and drag to pan, use the wheel to zoom, double-click for the view' +
-    ' from above, click a camera for its photo' +
+    'Drag to rotate, shift and drag to pan, use the wheel to zoom (with two fingers on a touch' +
+    ' screen), double-click for the view from above, click a camera for its photo. With the' +
+    ' keyboard: arrows, plus, minus, Home' +
     (models.length > 1 ? '. These views move together.' : '.');
+  const shownTables = tables.filter(one => one.rows.length).map(table);
+  const views = [
+    ...(section && section.views.length ? [tools(section)] : []),
+    ...(models.length ? [element('p', { class: 'note' }, help)] : []),
+  ];
+  const place = element('div', { class: isAlone ? 'alone' : 'models' });
+  place.style.setProperty('--columns', Math.max(1, Math.min(models.length, 3)));
+  if (isAlone) {
+    const side = element('div', { class: 'facts' }, ...shownTables);
+    place.append(element('div', {}, ...views, ...columns[0].main), side);
+  } else place.append(...columns.map(({ main }) => element('section', {}, ...main)));
   document.getElementById('sections').append(
     ...(heading ? [element('h2', {}, heading)] : []),
-    ...(note ? [element('p', {}, note)] : []),
+    ...(note ? [element('p', { class: 'verdict' }, note)] : []),
+    ...(alerts.length
+      ? [element('ul', { class: 'alerts' }, ...alerts.map(text => element('li', {}, text)))]
+      : []),
     ...(compared.length ? [comparison(compared)] : []),
-    ...tables.filter(one => one.rows.length).map(table),
-    ...(section && section.views.length ? [tools(section)] : []),
-    element('p', { class: 'note' }, help),
+    ...(isAlone ? [] : [...shownTables, ...views]),
     place,
+    ...(isAlone ? [columns[0].plots] : []),
   );
-  if (section) reset(section);
+  if (section && section.views.length) reset(section);
 }
 for (const [name, text] of data.files) {
-  const unfolded = element('details', {}, element('summary', {}, name), element('pre', {}, text));
+  const whole = element('pre', { tabindex: 0 }, text);
+  const unfolded = element('details', {}, element('summary', {}, name), whole);
   document.getElementById('files').append(unfolded);
 }

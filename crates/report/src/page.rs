@@ -17,14 +17,17 @@ use tiepoint_pipeline::eval::geometry::numeric::median;
 use tiepoint_pipeline::eval::geometry::{Rigid3, Sim3, so3};
 use tiepoint_pipeline::evaluation::evaluate_rig;
 use tiepoint_pipeline::sfm::scene::{CameraId, ImageId, Reconstruction};
-use tiepoint_pipeline::workspace::{LocatedModel, REPORT, RIG, why_unregistered};
+use tiepoint_pipeline::workspace::{
+    LocatedModel, ModelReport, REPORT, RIG, RigFile, UnregisteredImage, verdict,
+};
 use tiepoint_pipeline::{Error, Report};
 
+use crate::Table;
 use crate::coding::{base64, evenly};
 use crate::depth_pictures::DenseView;
 use crate::page_file::{refuse_foreign_page, write_page};
 use crate::photos::{ShownImage, Thumbnails};
-use crate::{Table, TableRow};
+use crate::rig_table::{relative_poses, rig_table};
 
 const PAGE: &str = "report.html";
 const TEMPLATE: &str = include_str!("page.html");
@@ -63,6 +66,8 @@ pub struct ReportModel<'a> {
     pub model: &'a Reconstruction,
     /// Similarity to a metric world frame, if it is known. The page then shows lengths in metres.
     pub world_from_model: Option<Sim3>,
+    /// Extrinsics and clocks of its rig: relative poses are shown at the times of the clocks.
+    pub rig: Option<&'a RigFile>,
     /// The report of the run, for the times of the stages.
     pub report: Option<&'a Report>,
     /// Estimated and true camera centres in the world frame, in order of time; empty without ground
@@ -83,6 +88,8 @@ pub struct ReportSection<'a> {
     pub heading: &'a str,
     /// A sentence below the heading; may be empty.
     pub note: &'a str,
+    /// Sentences that ask for attention, above all else.
+    pub alerts: &'a [String],
     /// Tables of results.
     pub tables: &'a [Table],
     /// The models, side by side. Models with ground truth are also drawn over each other.
@@ -123,6 +130,7 @@ struct Page<'a> {
 struct Section<'a> {
     heading: &'a str,
     note: &'a str,
+    alerts: &'a [String],
     tables: &'a [Table],
     models: Vec<Model<'a>>,
 }
@@ -131,6 +139,10 @@ struct Section<'a> {
 struct Model<'a> {
     name: &'a str,
     unit: &'static str,
+    /// Units per unit of view coordinates.
+    unit_per_view: f64,
+    /// The axes of the model in view coordinates.
+    axes: [[f64; 3]; 3],
     num_images: usize,
     num_points: usize,
     points_shown: usize,
@@ -167,6 +179,7 @@ struct Dense<'a> {
 /// The images of one camera: centre and four image corners, 15 view coordinates per image.
 #[derive(Serialize)]
 struct Frusta<'a> {
+    name: String,
     colour: u32,
     corners: Vec<f32>,
     images: Vec<ShownImage<'a>>,
@@ -190,6 +203,7 @@ struct Matrix {
 #[derive(Serialize)]
 struct RigSeries {
     cameras: [String; 2],
+    has_clock: bool,
     times_s: Vec<f64>,
     baselines: Vec<f64>,
     rotations_deg: [Vec<f64>; 3],
@@ -260,7 +274,7 @@ fn describe_section<'a>(
     limits: Limits,
     photos: &[&Thumbnails],
 ) -> Section<'a> {
-    let ReportSection { heading, note, tables, models } = *section;
+    let ReportSection { heading, note, alerts, tables, models } = *section;
     let shared_frame =
         models.first().and_then(|first| first.world_from_model.map(|_| upright(first)));
     let models = models.iter().map(|report_model| {
@@ -270,12 +284,13 @@ fn describe_section<'a>(
         let photos = set.and_then(|set| photos.iter().position(|other| std::ptr::eq(*other, set)));
         Model { photos, ..describe(report_model, &view_from_world, limits) }
     });
-    Section { heading, note, tables, models: models.collect() }
+    Section { heading, note, alerts, tables, models: models.collect() }
 }
 
 /// Writes `report.html` for a model into a folder. If that is the workspace of the model, the page
-/// has the texts of `report.json` and `rig.json` and small copies of the photos. `shown` gives a
-/// warning the names of options that its readers know. Returns the path of the page.
+/// has the other models of the workspace, too, small copies of the photos, the images without a
+/// pose, and the texts of `report.json` and `rig.json`. `shown` gives a warning the names of
+/// options that its readers know. Returns the path of the page.
 ///
 /// # Errors
 ///
@@ -286,9 +301,73 @@ pub fn view(
     shown: &dyn Fn(&str) -> String,
 ) -> Result<PathBuf, Error> {
     refuse_foreign_page(&path.join(PAGE))?;
-    let model = &located.reconstruction;
-    let report = path.join("report.json");
+    let report = path.join(REPORT);
     let report = if report.is_file() { Some(Report::read(&report)?) } else { None };
+    let cloud = located.workspace().zip(located.dense_cloud());
+    let dense = cloud
+        .map(|(root, cloud)| DenseView::read(&cloud, root, &located.reconstruction))
+        .transpose()?;
+    let name = path.file_name().map_or_else(|| "model".into(), |name| name.to_string_lossy());
+    let mut reports = report.iter().flat_map(|report| &report.models);
+    let first = reports.next();
+    // Another model may have been deleted since.
+    let others = reports
+        .filter_map(|other| Some((LocatedModel::open(&path.join(&other.path)).ok()?, other)));
+    let others: Vec<(LocatedModel, &ModelReport)> = others.collect();
+    let models: Vec<(&LocatedModel, Option<&ModelReport>)> = std::iter::once((located, first))
+        .chain(others.iter().map(|(other, report)| (other, Some(*report))))
+        .collect();
+    let photos = models.iter().map(|(one, _)| {
+        Thumbnails::of_workspace(path, &one.reconstruction, Thumbnails::MAX_BYTES / models.len())
+    });
+    let photos: Vec<Thumbnails> = photos.collect();
+    let report_models = models.iter().zip(&photos).enumerate().map(|(k, ((one, of), photos))| {
+        let scale = of.and_then(|model| model.scale.as_ref());
+        ReportModel {
+            name: of.map_or(&name, |model| &model.path),
+            model: &one.reconstruction,
+            rig: one.rig.as_ref(),
+            // A model that was scaled is in metres.
+            world_from_model: scale.and_then(|scale| scale.factor).map(|_| Sim3::identity()),
+            report: report.as_ref().filter(|_| k == 0),
+            camera_errors: &[],
+            cloud_errors: &[],
+            dense: dense.as_ref().filter(|_| k == 0),
+            photos: Some(photos),
+        }
+    });
+    let report_models: Vec<ReportModel> = report_models.collect();
+    let tables: Vec<Vec<Table>> =
+        report_models.iter().zip(&models).map(|(model, (_, of))| tables(model, *of)).collect();
+    let heading = |model: &ReportModel| match report_models.len() {
+        1 => String::new(),
+        _ => format!("Model {}", model.name),
+    };
+    let headings: Vec<String> = report_models.iter().map(heading).collect();
+    let warnings = report.iter().flat_map(|report| &report.warnings);
+    let alerts: Vec<String> = warnings.map(|warning| shown(&warning.to_string())).collect();
+    let note = report.as_ref().map(|report| note(&verdict(report))).unwrap_or_default();
+    let section = |k: usize| ReportSection {
+        heading: &headings[k],
+        note: if k == 0 { &note } else { "" },
+        alerts: if k == 0 { &alerts } else { &[] },
+        tables: &tables[k],
+        models: &report_models[k..=k],
+    };
+    let mut sections: Vec<ReportSection> = (0..report_models.len()).map(section).collect();
+    let map = report.as_ref().and_then(|report| report.stages.map.as_ref());
+    let missing = map.map(|map| [missing(&map.unregistered)]);
+    if let Some(tables) = missing.as_ref().filter(|[table]| !table.rows.is_empty()) {
+        sections.push(ReportSection { tables, ..ReportSection::default() });
+    }
+    let html = report_html(&format!("tiepoint: {name}"), &sections, texts(path));
+    let file = path.join(PAGE);
+    write_page(&file, &html)?;
+    Ok(file)
+}
+
+/// The texts of `rig.json` and `report.json`.
+fn texts(path: &Path) -> Vec<(&'static str, String)> {
     let mut files = Vec::new();
     for name in [RIG, REPORT] {
         // What a link leads to would become part of a page that is handed on.
@@ -298,63 +377,58 @@ pub fn view(
             files.push((name, text));
         }
     }
-    let cloud = located.workspace().zip(located.dense_cloud());
-    let dense = cloud.map(|(root, cloud)| DenseView::read(&cloud, root, model)).transpose()?;
-    let name = path.file_name().map_or_else(|| "model".into(), |name| name.to_string_lossy());
-    let report_model = ReportModel {
-        name: &name,
-        model,
-        world_from_model: None,
-        report: report.as_ref(),
-        camera_errors: &[],
-        cloud_errors: &[],
-        dense: dense.as_ref(),
-        photos: Some(&Thumbnails::of_workspace(path, model, Thumbnails::MAX_BYTES)),
-    };
-    let table = Table::of_columns(&[name.to_string()], summary(model, report.as_ref()));
-    let warnings = report.iter().flat_map(|report| &report.warnings);
-    let map = report.iter().filter_map(|report| report.stages.map.as_ref());
-    let missing = map.flat_map(|map| why_unregistered(&map.unregistered));
-    let rows: Vec<TableRow> = warnings
-        .map(|warning| ("warning".to_owned(), vec![shown(&warning.to_string())]))
-        .chain(missing.map(|reason| ("without a pose".to_owned(), vec![reason])))
-        .collect();
-    let warnings = (!rows.is_empty()).then(|| Table::of_columns(&[String::new()], rows));
-    let tables: Vec<Table> = std::iter::once(table).chain(warnings).collect();
-    let section =
-        ReportSection { tables: &tables, models: &[report_model], ..ReportSection::default() };
-    let html = report_html(&format!("tiepoint: {name}"), &[section], files);
-    let file = path.join(PAGE);
-    write_page(&file, &html)?;
-    Ok(file)
+    files
 }
 
-fn summary(model: &Reconstruction, report: Option<&Report>) -> Vec<TableRow> {
+/// Sentences with capital letters and full stops.
+fn note(sentences: &[String]) -> String {
+    let capital = |sentence: &String| {
+        let mut letters = sentence.chars();
+        let first = letters.next().into_iter().flat_map(char::to_uppercase);
+        first.chain(letters).chain(['.']).collect::<String>()
+    };
+    sentences.iter().map(capital).collect::<Vec<_>>().join(" ")
+}
+
+/// The images without a pose, each with its reason.
+fn missing(images: &[UnregisteredImage]) -> Table {
+    let rows = images.iter().map(|image| (image.image.clone(), vec![image.why()])).collect();
+    Table { caption: "Images without a pose in sparse/0".to_owned(), head: Vec::new(), rows }
+}
+
+/// The facts of a model, and its rig.
+fn tables(report_model: &ReportModel, report: Option<&ModelReport>) -> Vec<Table> {
+    let ReportModel { model, rig, world_from_model, .. } = *report_model;
     // A COLMAP model holds only registered images; the report counts all.
-    let images = report
-        .and_then(|report| report.models.first())
-        .map_or(model.images().count(), |m| m.images);
-    let registered = format!("{} of {images}", model.num_registered());
-    let mut rows = vec![
-        ("images with a pose".to_owned(), registered),
-        ("points".to_owned(), model.num_tracks().to_string()),
+    let images = report.map_or(model.images().count(), |report| report.images);
+    let rows = [
+        ("images with a pose", format!("{} of {images}", model.num_registered())),
+        ("points", model.num_tracks().to_string()),
         (
-            "observations (per point)".to_owned(),
+            "observations (per point)",
             format!("{} ({:.2})", model.num_observations(), model.mean_track_length()),
         ),
-        (
-            "mean reprojection error".to_owned(),
-            format!("{:.3} px", model.mean_reprojection_error_px()),
-        ),
+        ("mean reprojection error", format!("{:.3} px", model.mean_reprojection_error_px())),
     ];
-    for rig in evaluate_rig(model, 1.0) {
-        let between = format!("{} – {}", rig.cameras[0], rig.cameras[1]);
-        let baseline = format!("{:.4} ± {:.4}", rig.baseline.mean, rig.baseline.std);
-        rows.push((format!("baseline {between} (model units)"), baseline));
-        let rotation_rms = format!("{:.4}°", rig.rotation_rms_deg);
-        rows.push((format!("relative rotation {between}, RMS"), rotation_rms));
+    let rows = rows.map(|(name, value)| (name.to_owned(), vec![value])).to_vec();
+    let unit = if world_from_model.is_some() { "m" } else { "units" };
+    let facts = Table { rows, ..Table::default() };
+    let relative = evaluate_rig(model, rig, 1.0);
+    let rig = rig_table(report.and_then(|report| report.rig.as_ref()), rig, unit);
+    let tables = [Some(facts), rig, relative_poses(&relative, unit)];
+    tables.into_iter().flatten().collect()
+}
+
+/// The stream of a camera's images, and its number if it is one of several.
+fn camera_name(model: &Reconstruction, id: CameraId) -> String {
+    let images = || model.registered().map(|(_, image, _)| image);
+    let stream = images().find(|image| image.camera == id).map_or("", |image| &*image.stream);
+    let is_one = images().filter(|image| *image.stream == *stream).all(|image| image.camera == id);
+    match stream {
+        "" => format!("camera {}", id.0 + 1),
+        stream if is_one => stream.to_owned(),
+        stream => format!("{stream}, camera {}", id.0 + 1),
     }
-    rows.into_iter().map(|(name, value)| (name, vec![value])).collect()
 }
 
 /// `view_from_world` of a model: z up, the median of points and cameras at the origin, 90 % of them
@@ -415,7 +489,10 @@ fn describe<'a>(
     let scale = world_from_model.map_or(1.0, |world_from_model| world_from_model.scale);
     Model {
         name,
-        unit: if world_from_model.is_some() { "m" } else { "model units" },
+        unit: if world_from_model.is_some() { "m" } else { "units" },
+        unit_per_view: 1.0 / view_from_world.scale,
+        axes: [Vector3::x(), Vector3::y(), Vector3::z()]
+            .map(|axis| (view_from_model.rotation * axis).into()),
         num_images: model.num_registered(),
         num_points: model.num_tracks(),
         points_shown: colours.len() / 3,
@@ -425,7 +502,7 @@ fn describe<'a>(
         errors: errors(model),
         track_lengths: track_lengths(model),
         covisibility: covisibility(model),
-        rigs: rigs(model, scale),
+        rigs: rigs(model, report_model.rig, scale),
         trajectory: trajectory(camera_errors, view_from_world),
         cloud_errors: [
             cloud_errors.iter().map(|error| error.path_length_m).collect(),
@@ -510,6 +587,7 @@ fn frusta<'a>(
             pose.inverse() * (ray * (depth / ray.z.abs().max(0.2)))
         });
         let frusta = all.entry(id).or_insert_with(|| Frusta {
+            name: camera_name(model, id),
             colour: id.0,
             corners: Vec::new(),
             images: Vec::new(),
@@ -572,7 +650,7 @@ fn covisibility(model: &Reconstruction) -> Matrix {
 
 /// Baseline and relative rotation over time of each pair of cameras. `scale`: unit of the lengths
 /// per unit of the model.
-fn rigs(model: &Reconstruction, scale: f64) -> Vec<RigSeries> {
+fn rigs(model: &Reconstruction, rig: Option<&RigFile>, scale: f64) -> Vec<RigSeries> {
     let series = |rig: tiepoint_pipeline::evaluation::RigEvaluation| {
         let step = rig.frames.div_ceil(MAX_IMAGES).max(1);
         let rotations = |axis: usize| {
@@ -590,9 +668,10 @@ fn rigs(model: &Reconstruction, scale: f64) -> Vec<RigSeries> {
                 .collect(),
             rotations_deg: [rotations(0), rotations(1), rotations(2)],
             cameras: rig.cameras,
+            has_clock: rig.has_clock,
         }
     };
-    evaluate_rig(model, scale).into_iter().map(series).collect()
+    evaluate_rig(model, rig, scale).into_iter().map(series).collect()
 }
 
 fn stages(report: &Report) -> Vec<(&'static str, f64)> {

@@ -1,9 +1,10 @@
 // Plots as inline SVG.
 
-const COLOURS = ['#2a6fbb', '#d1495b', '#3a8f5c', '#a36ac7'];
+// Of the scheme of the page.
+const colourOf = k => `var(--series-${k % 4})`;
 
 function element(name, attributes = {}, ...children) {
-  const isSvg = ['svg', 'g', 'rect', 'path', 'line', 'text', 'title'].includes(name);
+  const isSvg = ['svg', 'rect', 'path', 'line', 'text', 'title'].includes(name);
   const made = isSvg
     ? document.createElementNS('http://www.w3.org/2000/svg', name)
     : document.createElement(name);
@@ -12,23 +13,48 @@ function element(name, attributes = {}, ...children) {
   return made;
 }
 
+// Longer tables are folded.
+const MOST_ROWS = 40;
+
+// A plot below its title, which is also its name for those who do not see it.
+function titled(title, plot) {
+  plot.setAttribute('role', 'img');
+  plot.setAttribute('aria-label', title);
+  return element('div', {}, element('h3', {}, title), plot);
+}
+
 // A heading spans the empty headings on its right.
 function table({ caption, head, rows }) {
   const heading = line => {
     const cells = [];
     line.forEach((text, k) => {
       if (k > 1 && !text) cells[cells.length - 1].colSpan += 1;
-      else cells.push(element('th', {}, text));
+      else if (text) cells.push(element('th', { scope: 'col' }, text));
+      else cells.push(element('td'));
     });
     return element('tr', {}, ...cells);
   };
   const row = ([name, values]) =>
-    element('tr', {}, ...[name, ...values].map(text => element('td', {}, text)));
+    element(
+      'tr',
+      {},
+      element('th', { scope: 'row' }, name),
+      ...values.map(text => element('td', {}, text)),
+    );
+  // Without headings, a row is the name of a fact and the fact.
+  const isFacts = !head.length;
+  const made = element(
+    'table',
+    {},
+    ...(isFacts ? [] : [element('thead', {}, ...head.map(heading))]),
+    element('tbody', {}, ...rows.map(row)),
+  );
+  const folded = () => element('details', {}, element('summary', {}, `all ${rows.length}`), made);
   return element(
     'div',
-    {},
+    isFacts ? { class: 'facts' } : { class: 'wide', tabindex: 0 },
     ...(caption ? [element('h2', {}, caption)] : []),
-    element('table', {}, ...head.map(heading), ...rows.map(row)),
+    rows.length > MOST_ROWS ? folded() : made,
   );
 }
 
@@ -104,14 +130,14 @@ function frame(x, y, xLabel, { wholeX = false, wholeY = false } = {}) {
   up.places.forEach((value, k) => {
     const at = toY(value);
     svg.append(
-      element('line', { x1: left, x2: width - right, y1: at, y2: at, stroke: '#e4e4e4' }),
+      element('line', { x1: left, x2: width - right, y1: at, y2: at, class: 'grid' }),
     );
     label('y', up.labels[k], left - 4, at + 4, 'end');
   });
   across.places.forEach((value, k) => {
     const at = toX(value);
     const [y1, y2] = [height - bottom, height - bottom + 3];
-    svg.append(element('line', { x1: at, x2: at, y1, y2, stroke: '#999' }));
+    svg.append(element('line', { x1: at, x2: at, y1, y2, class: 'tick' }));
     label('x', across.labels[k], at, height - bottom + 14, 'middle');
   });
   const unit = [across.note, xLabel].filter(text => text).join(' ');
@@ -137,7 +163,7 @@ function histogram({ first, last, counts }, xLabel, isWhole) {
           width: Math.max(toX(step) - toX(0) - 0.6, 0.4),
           y: toY(count),
           height: toY(0) - toY(count),
-          fill: COLOURS[0],
+          style: `fill:${colourOf(0)}`,
         },
         element('title', {}, `${short(first + k * step)}: ${count}`),
       ),
@@ -158,9 +184,7 @@ function lines(abscissae, series, xLabel, shown = []) {
     svg.append(
       element('path', {
         d: values.map((value, i) => point(abscissae[k][i], value, i)).join(''),
-        fill: 'none',
-        stroke: COLOURS[k % COLOURS.length],
-        'stroke-width': 1.3,
+        style: `fill:none;stroke:${colourOf(k)};stroke-width:1.3`,
       }),
     ),
   );
@@ -204,18 +228,15 @@ function above(trajectories, factor) {
     svg.append(
       element('path', {
         d: points.map(place).join(''),
-        fill: 'none',
-        stroke,
-        'stroke-width': wide,
-        'stroke-linejoin': 'round',
+        style: `fill:none;stroke:${stroke};stroke-width:${wide};stroke-linejoin:round`,
       }),
     );
-  path(trajectories[0].truth_above, '#bbb', 6);
-  drawn.forEach((points, k) => path(points, COLOURS[k % COLOURS.length], 2));
+  path(trajectories[0].truth_above, 'var(--truth)', 6);
+  drawn.forEach((points, k) => path(points, colourOf(k), 2));
   const metres = 10 ** Math.floor(Math.log10((high[0] - low[0]) / 2 || 1));
   const [end, bottom] = [margin + metres * scale, height - 4];
   svg.append(
-    element('line', { x1: margin, x2: end, y1: bottom, y2: bottom, stroke: '#555' }),
+    element('line', { x1: margin, x2: end, y1: bottom, y2: bottom, class: 'tick' }),
     element('text', { x: end + 6, y: height - 1 }, `${metres} m`),
   );
   return svg;
@@ -232,27 +253,23 @@ function comparison(models) {
   const legend = models.map((model, k) =>
     element(
       'span',
-      { style: `color:${COLOURS[k % COLOURS.length]};margin-right:20px` },
+      { style: `color:${colourOf(k)}` },
       `\u25ac ${model.name}: position error ${(100 * rms(errors[k])).toFixed(1)} cm (RMS)`,
     ),
   );
   const enlarged = factor > 1 ? `, their distances to the true path enlarged ${factor} times` : '';
-  const truth = element('span', { style: 'color:#999;margin-right:20px' }, '\u25ac true path');
+  const truth = element('span', { class: 'note' }, '\u25ac true path');
   const lengths = trajectories.map(one => one.path_length);
   return element(
     'div',
     { class: 'comparison' },
     element('p', {}, truth, ...legend),
-    element(
-      'div',
-      {},
-      element('h3', {}, `Estimated paths of the first camera from above${enlarged}`),
+    titled(
+      `Estimated paths of the first camera from above${enlarged}`,
       above(trajectories, factor),
     ),
-    element(
-      'div',
-      {},
-      element('h3', {}, 'Position error of the first camera along the drive (m)'),
+    titled(
+      'Position error of the first camera along the drive (m)',
       lines(lengths, errors, 'm driven', [0]),
     ),
   );
@@ -263,14 +280,14 @@ function matrix({ side, counts }) {
   const svg = element('svg', {
     viewBox: `0 0 ${side} ${side}`,
     'shape-rendering': 'crispEdges',
-    style: 'max-width:320px;background:#f3f3f3',
+    class: 'matrix',
   });
   counts.forEach((count, k) => {
     if (!count) return;
     const [x, y] = [k % side, Math.floor(k / side)];
     const opacity = (Math.log1p(count) / most).toFixed(2);
-    const [fill, size] = [COLOURS[0], { width: 1, height: 1 }];
-    svg.append(element('rect', { x, y, ...size, fill, 'fill-opacity': opacity }));
+    const style = `fill:${colourOf(0)};fill-opacity:${opacity}`;
+    svg.append(element('rect', { x, y, width: 1, height: 1, style }));
   });
   return svg;
 }
@@ -282,7 +299,7 @@ function bars(pairs) {
     const [width, y] = [(280 * value) / most, k * height];
     svg.append(
       element('text', { x: 0, y: y + 13 }, name),
-      element('rect', { x: 64, y: y + 3, height: height - 6, width, fill: COLOURS[0] }),
+      element('rect', { x: 64, y: y + 3, height: height - 6, width, style: `fill:${colourOf(0)}` }),
       element('text', { x: 70 + width, y: y + 13 }, short(value) + ' s'),
     );
   });

@@ -3,7 +3,10 @@
 
 const UNIT = 8 / 32767; // quantisation step of the coordinates, in view units
 const BACKGROUND = 0x16181d;
-const CAMERA_COLOURS = [0xff6b5e, 0x5ec8ff, 0xffd35e, 0x9bff8a];
+const CAMERA_COLOURS = [
+  0xff6b5e, 0x5ec8ff, 0xffd35e, 0x9bff8a, 0xd79bff, 0xffa14a, 0x58e0c8, 0xff8ac8,
+];
+const MOST_IN_LEGEND = 8;
 const FIELD_OF_VIEW = 40; // degrees, vertical
 const START = { yaw: 0.6, pitch: 0.6, nearest: 2.8, farthest: 8 };
 // While the view moves, a slow machine draws fewer points, so that a frame takes less than this.
@@ -158,11 +161,98 @@ function meanYaw(images) {
   return Math.hypot(...sum) > 0.4 * depth ? Math.atan2(sum[0], sum[1]) : START.yaw;
 }
 
+// Rotates about the target by angles in radians, and scales the distance.
+function turn(section, yaw, pitch, scale = 1) {
+  const { camera, target } = section;
+  const from = camera.position.clone().sub(target);
+  const distance = from.length();
+  const steepest = Math.PI / 2 - 1e-3;
+  const elevation = Math.asin(from.z / distance) + pitch;
+  const up = Math.min(Math.max(elevation, -steepest), steepest);
+  const around = Math.atan2(from.y, from.x) + yaw;
+  from.set(Math.cos(around) * Math.cos(up), Math.sin(around) * Math.cos(up), Math.sin(up));
+  camera.position.copy(target).addScaledVector(from, distance * scale);
+  camera.lookAt(target);
+  redraw(section, true);
+}
+const KEYS = {
+  ArrowLeft: section => turn(section, -0.1, 0),
+  ArrowRight: section => turn(section, 0.1, 0),
+  ArrowUp: section => turn(section, 0, 0.1),
+  ArrowDown: section => turn(section, 0, -0.1),
+  '+': section => turn(section, 0, 0, 0.9),
+  '-': section => turn(section, 0, 0, 1 / 0.9),
+  Home: section => reset(section),
+};
+
+// The colours of the cameras.
+function legend(cameras) {
+  const most = cameras.length > MOST_IN_LEGEND ? MOST_IN_LEGEND - 1 : MOST_IN_LEGEND;
+  const line = ({ name, colour, images }) => {
+    const hex = CAMERA_COLOURS[colour % CAMERA_COLOURS.length].toString(16).padStart(6, '0');
+    const chip = element('span', { style: `background:#${hex}` });
+    return element('li', {}, chip, `${name}: ${images.length}`);
+  };
+  const more = cameras.length - most;
+  const rest = more > 0 ? [element('li', {}, `and ${more} more cameras`)] : [];
+  return element('ul', { class: 'legend' }, ...cameras.slice(0, most).map(line), ...rest);
+}
+
+// The axes of the model's frame, and up. `draw` moves the ends.
+const AXES = [
+  ['x', '#ff6b5e'],
+  ['y', '#7dff9a'],
+  ['z', '#5ec8ff'],
+  ['up', '#fff'],
+];
+function axes(directions) {
+  const svg = element('svg', { class: 'axes', viewBox: '-36 -36 72 72', 'aria-hidden': true });
+  const ends = AXES.map(([name, stroke], k) => {
+    const dashed = name === 'up' ? { 'stroke-dasharray': '3 2' } : {};
+    const line = element('line', { x1: 0, y1: 0, stroke, ...dashed });
+    const text = element('text', { 'text-anchor': 'middle' }, name);
+    svg.append(line, text);
+    const direction = new THREE.Vector3(...(directions[k] || [0, 0, 1]));
+    return { line, text, direction };
+  });
+  return { svg, ends };
+}
+function drawAxes({ axes: { ends }, section: { camera } }) {
+  const seen = new THREE.Vector3();
+  for (const { line, text, direction } of ends) {
+    seen.copy(direction).transformDirection(camera.matrixWorldInverse);
+    const [x, y] = [seen.x, -seen.y];
+    line.setAttribute('x2', (22 * x).toFixed(1));
+    line.setAttribute('y2', (22 * y).toFixed(1));
+    text.setAttribute('x', (29 * x).toFixed(1));
+    text.setAttribute('y', (29 * y + 4).toFixed(1));
+  }
+}
+// A length of 1, 2 or 5 times a power of ten at the centre of the view, up to 110 pixels.
+function drawBar({ bar, canvas, unit, unitPerView, section: { camera, target } }) {
+  const slope = Math.tan((camera.fov * Math.PI) / 360);
+  const perView = canvas.clientHeight / (2 * slope * camera.position.distanceTo(target));
+  const most = (110 * unitPerView) / perView;
+  const power = 10 ** Math.floor(Math.log10(most));
+  const length = power * [5, 2, 1].find(digit => digit * power <= most * (1 + 1e-9));
+  bar.firstChild.style.width = `${(length / unitPerView) * perView}px`;
+  bar.lastChild.textContent = `${short(length)} ${length === 1 ? unit.replace(/s$/, '') : unit}`;
+}
+
 // A view of a model's points and cameras. `onPick(image)` is called for a clicked camera.
 function makeView(section, model, photos, onPick) {
-  const canvas = element('canvas');
+  const canvas = element('canvas', {
+    tabindex: 0,
+    role: 'application',
+    'aria-label':
+      `3D view of ${model.name}. Arrow keys rotate, plus and minus zoom, Home shows all;` +
+      ' the list above has the photos.',
+  });
   const label = element('div', { class: 'label' });
-  const place = element('div', { class: 'scene' }, canvas, label);
+  const bar = element('div', { class: 'bar' }, element('div'), element('span'));
+  const gizmo = axes(model.axes);
+  const parts = [canvas, legend(model.cameras), gizmo.svg, bar, label];
+  const place = element('div', { class: 'scene' }, ...parts);
   const scene = new THREE.Scene();
   const images = model.cameras.flatMap(({ colour, corners, images }) =>
     images.map((image, k) => ({
@@ -200,7 +290,8 @@ function makeView(section, model, photos, onPick) {
   }
   const context = canvas.getContext('2d', { alpha: false });
   const view = { section, canvas, context, scene, images, photos, points, frusta, picked };
-  Object.assign(view, { isSeen: true, drawn: 0 });
+  Object.assign(view, { isSeen: true, drawn: 0, bar, axes: gizmo });
+  Object.assign(view, { unit: model.unit, unitPerView: model.unit_per_view });
   section.views.push(view);
   if (section.views.length === 1) section.yaw = meanYaw(images);
 
@@ -226,6 +317,12 @@ function makeView(section, model, photos, onPick) {
     label.textContent = image ? image.name : '';
   });
   canvas.addEventListener('dblclick', () => fromAbove(section));
+  canvas.addEventListener('keydown', event => {
+    const act = KEYS[event.key === '=' ? '+' : event.key];
+    if (!act) return;
+    event.preventDefault();
+    act(section);
+  });
   new ResizeObserver(() => redraw(section)).observe(place);
   new IntersectionObserver(([entry]) => {
     view.isSeen = entry.isIntersecting;
@@ -351,6 +448,8 @@ function draw(view, isMoving) {
   renderer.render(scene, section.camera);
   context.drawImage(shared, 0, shared.height - height, width, height, 0, 0, width, height);
   document.documentElement.dataset.points = view.drawn;
+  drawAxes(view);
+  drawBar(view);
 }
 // Whether the browser has WebGL.
 function startRenderer() {

@@ -26,6 +26,7 @@ fn report_shows_models_side_by_side_and_escapes_names() {
         name: "off",
         model: &model,
         world_from_model: Some(Sim3::identity()),
+        rig: None,
         report: None,
         camera_errors: &camera_errors,
         cloud_errors: &[],
@@ -38,6 +39,7 @@ fn report_shows_models_side_by_side_and_escapes_names() {
     let section = ReportSection {
         heading: "open",
         note: "a note",
+        alerts: &[],
         tables: &[table],
         models: &[report_model, other],
     };

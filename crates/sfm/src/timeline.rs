@@ -28,7 +28,7 @@ pub(crate) fn images_in_time(
 
 /// Whether times were rounded to seconds: all are whole, and several images have one, or they are
 /// not as regular as those of an interval timer, whose times are exact but for one offset.
-fn is_rounded(times_s: impl Iterator<Item = f64>) -> bool {
+pub(crate) fn is_rounded(times_s: impl Iterator<Item = f64>) -> bool {
     let times_s: Vec<f64> = times_s.collect();
     times_s.iter().all(|time_s| time_s.fract() == 0.0)
         && (interval_s(&times_s) < 1.0 || timestamp_jitter_s(&times_s) > 0.0)
@@ -61,11 +61,11 @@ pub(crate) fn posed_in_time(
     if is_rounded(posed.iter().map(|(time_s, ..)| *time_s)) { Vec::new() } else { posed }
 }
 
-/// Quantile of the speeds that defines the usual speed.
+/// Quantile of speeds or accelerations that defines the usual one.
 const USUAL_QUANTILE: f64 = 0.9;
 
-/// Returns the 90 % quantile of the speeds.
-pub(crate) fn usual_speed(mut speeds: Vec<f64>) -> Option<f64> {
-    speeds.sort_by(f64::total_cmp);
-    speeds.get((USUAL_QUANTILE * speeds.len().saturating_sub(1) as f64) as usize).copied()
+/// Returns the 90 % quantile of speeds, steps or accelerations.
+pub(crate) fn usual(mut values: Vec<f64>) -> Option<f64> {
+    values.sort_by(f64::total_cmp);
+    values.get((USUAL_QUANTILE * values.len().saturating_sub(1) as f64) as usize).copied()
 }

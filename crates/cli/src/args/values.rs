@@ -57,6 +57,12 @@ pub(super) fn positive(text: &str) -> Result<f64, String> {
     number.ok_or_else(|| "expected a number above zero".to_owned())
 }
 
+/// A divisor of the size of images.
+pub(super) fn downscale(text: &str) -> Result<u32, String> {
+    let factor = text.parse().ok().filter(|factor| (2..=64).contains(factor));
+    factor.ok_or_else(|| "expected whole numbers from 2 to 64, as 2,4,8".to_owned())
+}
+
 /// The numbers of a list of `N`.
 fn numbers<const N: usize>(text: &str, expected: &str) -> Result<[f64; N], String> {
     let NumberList(numbers) = text.parse()?;
@@ -138,7 +144,7 @@ impl FromStr for Metres {
 
     fn from_str(text: &str) -> Result<Self, String> {
         // Longer suffixes first: "mm" ends with "m".
-        let units = [("mm", 1e3), ("cm", 1e2), ("m", 1.0), ("", 1.0)];
+        let units = [("mm", 1e3), ("cm", 1e2), ("m", 1.0)];
         let split = units.iter().find_map(|(unit, per_m)| Some((text.strip_suffix(unit)?, per_m)));
         let length =
             split.and_then(|(number, per_m)| Some(number.trim_end().parse::<f64>().ok()? / per_m));
@@ -260,20 +266,15 @@ mod tests {
 
     #[test]
     fn a_baseline_has_a_unit() {
-        for (text, metres) in [
-            ("0.62m", 0.62),
-            ("62cm", 0.62),
-            ("620 mm", 0.62),
-            ("0.62", 0.62),
-            ("1e-1m", 0.1),
-            ("0.1mm", 1e-4),
-        ] {
+        for (text, metres) in
+            [("0.62m", 0.62), ("62cm", 0.62), ("620 mm", 0.62), ("1e-1m", 0.1), ("0.1mm", 1e-4)]
+        {
             let Metres(found) = text.parse().unwrap();
             assert!((found - metres).abs() <= f64::EPSILON, "{text}: {found}");
         }
         for wrong in [
-            "", "m", "-1m", "0m", "0", "nan", "infm", "1e300m", "1e-300m", "0.6 ft", "62 c m",
-            "m62", "0,62m",
+            "", "m", "-1m", "0m", "0", "0.62", "620", "nan", "infm", "1e300m", "1e-300m", "0.6 ft",
+            "62 c m", "m62", "0,62m",
         ] {
             assert!(wrong.parse::<Metres>().unwrap_err().contains("0.62m"), "{wrong}");
         }

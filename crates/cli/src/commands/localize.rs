@@ -15,6 +15,7 @@ pub(crate) fn localize(args: &Localize, output: &Output) -> Result<(), Failure> 
         calibration: args.initial().map_err(Failure::Usage)?,
         calibration_files: args.calibration.clone(),
         masks: args.masks.clone(),
+        max_size: args.max_size,
         seed: args.seed.seed,
         ..LocalizeOptions::default()
     };

@@ -67,7 +67,8 @@ fn describe(info: &ModelInfo) -> String {
     let mut text = String::new();
     for (number, camera) in (1..).zip(&info.cameras) {
         let params = camera.param_names.iter().zip(&camera.params);
-        let params: Vec<String> = params.map(|(name, value)| format!("{name} {value}")).collect();
+        let params: Vec<String> =
+            params.map(|(name, value)| format!("{name} {}", six_digits(*value))).collect();
         let _ = writeln!(
             text,
             "camera {number}: {} {} x {}, {} images, {}",
@@ -78,10 +79,14 @@ fn describe(info: &ModelInfo) -> String {
             params.join(", ")
         );
     }
+    let rigs = match info.rigs {
+        0 => String::new(),
+        rigs => format!(", {rigs} rigs, {} frames", info.frames),
+    };
     let _ = writeln!(
         text,
-        "{} images, {} points, {} observations, {} rigs, {} frames",
-        info.images, info.points, info.observations, info.rigs, info.frames
+        "{} images, {} points, {} observations{rigs}",
+        info.images, info.points, info.observations
     );
     let _ = writeln!(
         text,
@@ -89,7 +94,8 @@ fn describe(info: &ModelInfo) -> String {
         info.mean_track_length, info.mean_observations_per_image, info.mean_reprojection_error_px
     );
     if let (Some(min), Some(max)) = (info.min, info.max) {
-        let _ = writeln!(text, "points from {min:?} to {max:?}");
+        let [min, max] = [min, max].map(|corner| corner.map(six_digits).join(", "));
+        let _ = writeln!(text, "points from ({min}) to ({max})");
     }
     text
 }
@@ -106,7 +112,16 @@ fn control_point(point: &ControlPointInfo) -> String {
     )
 }
 
-// Writing to a string does not fail.
+/// A number with six significant digits: what is written to files has all.
+fn six_digits(value: f64) -> String {
+    let digits = 5 - value.abs().max(f64::MIN_POSITIVE).log10().floor() as i32;
+    let rounded = format!("{value:.*}", digits.clamp(0, 12) as usize);
+    match rounded.contains('.') {
+        true => rounded.trim_end_matches('0').trim_end_matches('.').to_owned(),
+        false => rounded,
+    }
+}
+
 fn describe_change(change: &ModelChange) -> String {
     let mut text = String::new();
     if let Some(alignment) = &change.alignment {

@@ -27,7 +27,7 @@ pub(crate) fn reconstruct(args: &Reconstruct, output: &Output) -> Result<(), Fai
     }
     let dense = args
         .dense
-        .then(|| DenseOptions { max_image_size: args.dense_max_size, ..DenseOptions::default() });
+        .then(|| DenseOptions { max_image_size: args.input.max_size, ..DenseOptions::default() });
     let options = Options {
         database: args.input.database.clone(),
         features: feature_options(&args.input, &args.cameras)?,
@@ -125,6 +125,7 @@ fn feature_options(input: &Input, cameras: &Cameras) -> Result<FeatureOptions, F
         calibration_files: cameras.calibration.clone(),
         cameras: cameras.cameras,
         timestamps: input.timestamps.clone(),
+        max_size: input.max_size,
         max_pixels: MEGA * input.max_megapixels,
         ..FeatureOptions::default()
     })

@@ -17,7 +17,7 @@ pub(crate) fn undistort(args: &Undistort, output: &Output) -> Result<(), Failure
             blank_pixels: args.blank_pixels,
             min_scale: args.min_scale,
             max_scale: args.max_scale,
-            max_image_size: args.max_image_size,
+            max_image_size: args.max_size,
         },
         images: args.images.clone(),
         masks: args.masks.clone(),

@@ -143,7 +143,7 @@ fn wrong_command_lines() {
     );
     wrong("reconstruct {}", &["required", "--output <WORKSPACE>"]);
     wrong(
-        "reconstruct {} -o {}/ws --pairs sequential",
+        "reconstruct {} -o {}/ws --pairs sequential:",
         &["sequential", "exhaustive", "sequential:20"],
     );
     for value in [
@@ -412,4 +412,29 @@ fn a_damaged_database_of_another_program_is_named() {
         tiepoint_in(dir.path(), "reconstruct --database {}/theirs.db {}/photos -o {}/new")
             .failed(1, &["theirs.db"]);
     }
+}
+
+#[test]
+fn what_one_camera_cannot_do_is_refused_before_features() {
+    let dir = tempfile::tempdir().unwrap();
+    let dir = dir.path();
+    photos::write(&dir.join("photos"), 3, 0);
+    let rigid = "reconstruct {}/photos -o {}/ws --rig rigid";
+    tiepoint_in(dir, rigid).failed(1, &["--rig needs two cameras", "of one", "--rig off"]);
+    let shutter = "reconstruct {}/photos -o {}/ws --rolling-shutter estimate";
+    tiepoint_in(dir, shutter).failed(1, &["capture times"]);
+    assert!(!dir.join("ws/database.db").exists(), "no features yet");
+}
+
+#[test]
+fn what_has_no_effect_is_said() {
+    let dir = tempfile::tempdir().unwrap();
+    let dir = dir.path();
+    photos::write(&dir.join("photos"), 3, 0);
+    let said = tiepoint_in(dir, "features {}/photos -o {}/photos --every 5").done().stderr();
+    for part in ["--every selects frames of videos", "has photos, and gets the results, too"] {
+        assert!(said.contains(part), "{said}");
+    }
+    let report = tiepoint_in(dir, "match {}/photos --pairs sequential --json").done().json();
+    assert_eq!(report["stages"]["match"]["selection"], "sequential:10");
 }

@@ -7,10 +7,14 @@ use std::process::Command;
 use std::sync::OnceLock;
 
 use rusqlite::Connection;
-use tiepoint_pipeline::io::colmap::read_model;
+use tiepoint_pipeline::io::colmap::{Format, read_model};
+use tiepoint_pipeline::sfm::geometry::nalgebra::Vector3;
+use tiepoint_pipeline::workspace::write_model;
 
 use crate::{Run, photos, tiepoint, tiepoint_in};
 
+/// Down in an image.
+const Y: Vector3<f64> = Vector3::new(0.0, 1.0, 0.0);
 /// Photos of the first call, and of all.
 const OLD: usize = 5;
 const ALL: usize = 6;
@@ -298,7 +302,7 @@ fn options_are_those_of_colmap() {
     let dir = tempfile::tempdir().unwrap();
     fs::create_dir(dir.path().join("empty")).unwrap();
     let run = |line: &str| tiepoint_in(dir.path(), &format!("colmap {line}"));
-    run("stereo_fusion").failed(1, &["stereo_fusion", "colmap help"]);
+    run("stereo_fuser").failed(1, &["stereo_fuser", "colmap help"]);
     run("mapper --Mapper.unknown 1").failed(1, &["--Mapper.unknown", "colmap mapper -h"]);
     run("mapper --Mapper.use_prior_position 1").failed(1, &["use_prior_position"]);
     run("mapper --Mapper.min_model_size many").failed(1, &["min_model_size", "whole number"]);
@@ -411,4 +415,60 @@ fn models_of_a_mapper_are_replaced_together() {
     colmap(dir, &format!("{mapper} --Mapper.ba_refine_focal_length 0"))
         .failed(1, &["out/1/points3D.bin", "did not make it"]);
     assert_eq!((bytes("0/images.bin"), bytes("1/images.bin")), (first, Some(second)));
+}
+
+/// The calls of beginners' scripts: one command, its model with up along −y, and colours.
+#[test]
+fn automatic_reconstructor_gives_a_model_that_other_verbs_take() {
+    let dir = tempfile::tempdir().unwrap();
+    let dir = dir.path();
+    photos::write(&dir.join("photos"), OLD, 0);
+    let line = "automatic_reconstructor --workspace_path {}/ws --image_path {}/photos --dense 0 \
+                --quality medium --data_type video";
+    let said = colmap(dir, line).done().stdout();
+    assert!(said.contains(&format!("all {OLD} images have a pose")), "{said}");
+    let model = read_model(&dir.join("ws/sparse/0")).unwrap();
+    for (quality, part) in [("fine", "no quality fine"), ("low", "1000")] {
+        let line = format!(
+            "automatic_reconstructor --workspace_path {{}}/ws --image_path {{}}/photos --dense 0 \
+             --quality {quality}"
+        );
+        colmap(dir, &line).failed(1, &[part]);
+    }
+    let aligner = "model_orientation_aligner --input_path {}/ws/sparse/0 --output_path {}/up";
+    colmap(dir, aligner).failed(1, &["MANHATTAN-WORLD", "IMAGE-ORIENTATION"]);
+    colmap(dir, &format!("{aligner} --method IMAGE-ORIENTATION")).done();
+    let upright = read_model(&dir.join("up")).unwrap();
+    let down: Vec<f64> =
+        upright.registered().map(|(.., pose)| pose.rotation.inverse() * Y).map(|y| y.y).collect();
+    assert!(down.iter().sum::<f64>() > 0.9 * OLD as f64, "{down:?}");
+    assert_eq!(upright.num_tracks(), model.num_tracks());
+    // Points without colours get those of the photos.
+    let colors = |folder: &str| -> Vec<[u8; 3]> {
+        read_model(&dir.join(folder)).unwrap().tracks().map(|(_, track)| track.color).collect()
+    };
+    let before = colors("up");
+    let mut grey = upright;
+    let points: Vec<_> = grey.tracks().map(|(id, _)| id).collect();
+    points.into_iter().for_each(|id| grey.track_mut(id).unwrap().color = [0; 3]);
+    write_model(&dir.join("grey"), &grey, Format::Binary).unwrap();
+    let line = "color_extractor --image_path {}/photos --input_path {}/grey --output_path {}/new";
+    colmap(dir, line).done();
+    assert_eq!(colors("new"), before);
+}
+
+#[test]
+fn databases_are_created_once_and_other_verbs_name_what_serves_instead() {
+    let dir = tempfile::tempdir().unwrap();
+    let dir = dir.path();
+    colmap(dir, "database_creator --database_path {}/a.db").done();
+    let before = fs::read(dir.join("a.db")).unwrap();
+    colmap(dir, "database_creator --database_path {}/a.db").done();
+    assert!(fs::read(dir.join("a.db")).unwrap() == before);
+    assert!(images(&dir.join("a.db")).is_empty());
+    fs::write(dir.join("mine"), "mine").unwrap();
+    colmap(dir, "database_creator --database_path {}/mine").failed(1, &["mine"]);
+    colmap(dir, "stereo_fusion --workspace_path {}/x").failed(1, &["tiepoint dense"]);
+    colmap(dir, "poisson_mesher").failed(1, &["no poisson_mesher", "fused.ply"]);
+    colmap(dir, "mapperr").failed(1, &["no command mapperr", "colmap help"]);
 }

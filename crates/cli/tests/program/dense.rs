@@ -177,7 +177,6 @@ fn dense_names_what_is_missing() {
     reconstructed(dir);
     tiepoint_in(dir, "dense {}/ws --redo map").failed(2, &["--redo", "dense"]);
     tiepoint_in(dir, "reconstruct {}/photos -o {}/ws --redo dense").failed(2, &["--dense"]);
-    tiepoint_in(dir, "reconstruct {}/photos -o {}/ws --dense-max-size 99").failed(2, &["--dense"]);
     tiepoint_in(dir, "export {}/ws --to las -o {}/a.las").failed(1, &["tiepoint dense"]);
     // Another's file in the way.
     fs::create_dir_all(dir.join("ws/dense")).unwrap();
@@ -229,7 +228,7 @@ fn dense_uses_masks_and_writes_what_it_is_asked_for() {
     let dir = tempfile::tempdir().unwrap();
     let dir = dir.path();
     photos::write(&dir.join("photos"), COUNT, 0);
-    let run = "reconstruct {}/photos -o {}/ws --dense --dense-max-size 160 --json";
+    let run = "reconstruct {}/photos -o {}/ws --dense --max-size 240 --json";
     let report = tiepoint_in(dir, run).done().json();
     assert_eq!(report["stages"]["dense"]["depth_maps"], COUNT, "{report}");
     let model = read_model(&dir.join("ws/dense/sparse")).unwrap();
@@ -245,7 +244,7 @@ fn dense_uses_masks_and_writes_what_it_is_asked_for() {
         image::Luma([if x < photos::WIDTH / 2 { 0 } else { 255 }])
     });
     mask.save(dir.join(format!("masks/{name}.png"))).unwrap();
-    let masked = "dense {}/ws --max-size 160 --masks {}/masks --depth-pngs";
+    let masked = "dense {}/ws --max-size 240 --masks {}/masks --depth-pngs";
     tiepoint_in(dir, masked).failed(1, &["--depth-pngs", "--redo dense"]);
     tiepoint_in(dir, &format!("{masked} --redo dense")).done();
     let (depths, mask) = (map(name), dir.join(format!("ws/dense/masks/{name}.png")));

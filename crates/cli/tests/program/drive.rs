@@ -15,6 +15,10 @@ const FOCAL_PX: f64 = 0.6 * 320.0;
 const MAX_ATE_M: f64 = 0.3;
 /// Relative error of the rig's baseline. Half a loop of 2 m between images determines it to 2 %.
 const MAX_BASELINE_ERROR: f64 = 0.05;
+/// Relative difference of the mean distance on the page and the baseline of `rig.json`, to which
+/// the soft constraint ties the frames: a sigma of a hundredth of the baseline and less. Images
+/// nearest in time are up to half an interval apart: a metre, two baselines.
+const MAX_SHOWN_ERROR: f64 = 0.03;
 /// Limit of the median surface distance over its error floor: at this image size keypoint errors
 /// cause decimetres, and pose errors of centimetres add little.
 const MAX_OVER_FLOOR: f64 = 4.0;
@@ -166,6 +170,17 @@ fn the_demo_reconstructs_what_it_rendered() {
     let length = centre.iter().map(|value| value * value).sum::<f64>().sqrt();
     let baseline_m = length * auto["poses"]["scale"].as_f64().unwrap();
     assert!((baseline_m / BASELINE_M - 1.0).abs() < MAX_BASELINE_ERROR, "{baseline_m} m");
+    // The page shows relative poses at the times of the clock, which is not that of the stamps.
+    let page = tiepoint_in(dir, "view {}/demo/loop/auto --json").done().json();
+    let page = fs::read_to_string(page["report"].as_str().unwrap()).unwrap();
+    let data = page.split("id=\"data\">").nth(1).unwrap().split("</script>").next().unwrap();
+    let data: serde_json::Value = serde_json::from_str(data).unwrap();
+    let shown = &data["sections"][0]["models"][0]["rigs"][0];
+    assert_eq!(shown["has_clock"], true);
+    let baselines = shown["baselines"].as_array().unwrap();
+    let sum: f64 = baselines.iter().map(|value| value.as_f64().unwrap()).sum();
+    let mean = sum / baselines.len() as f64;
+    assert!((mean / length - 1.0).abs() < MAX_SHOWN_ERROR, "{mean} and {length}");
     for run in [off, paper] {
         let model = &run["report"]["models"][0];
         assert_eq!(model["rig"]["mode"], run["rig"]);

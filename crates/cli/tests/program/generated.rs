@@ -1,5 +1,8 @@
 //! Completions and manual pages, which the program generates from its own command line.
 
+use std::path::Path;
+use std::process::Command;
+
 use crate::tiepoint;
 
 /// Names of the commands below a command, as `--help` lists them.
@@ -56,7 +59,7 @@ fn bash_completes_commands_and_options() {
              _tiepoint tiepoint \"${{COMP_WORDS[{last}]}}\" \"${{COMP_WORDS[{last} - 1]}}\"\n\
              echo \"${{COMPREPLY[*]}}\""
         );
-        let output = std::process::Command::new("bash").args(["-c", &ask]).output().unwrap();
+        let output = Command::new("bash").args(["-c", &ask]).output().unwrap();
         assert!(output.stderr.is_empty(), "{}", String::from_utf8_lossy(&output.stderr));
         String::from_utf8(output.stdout).unwrap()
     };
@@ -79,4 +82,53 @@ fn pages_and_shells_that_do_not_exist() {
     tiepoint(["man", "model", "mop"]).failed(2, &["'tiepoint model' has no command", "crop"]);
     tiepoint(["man", "map", "mop"]).failed(2, &["'tiepoint map' has no command", "fewer names"]);
     tiepoint(["completions", "dos"]).failed(2, &["dos", "bash, elvish, fish"]);
+}
+
+/// The page with the help of all commands. With `TIEPOINT_WRITE` in the environment it is written.
+#[test]
+fn the_page_of_commands_is_what_the_program_says() {
+    let help = |words: &[String]| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_tiepoint"));
+        let output = command.args(words).arg("--help").env("COLUMNS", "100").output().unwrap();
+        String::from_utf8(output.stdout).unwrap()
+    };
+    let mut page = "# Commands\n\nThe help of every command, as `tiepoint COMMAND --help` prints \
+                    it. `-h` is a screen. Generated:\n[how](../CONTRIBUTING.md).\n\n"
+        .to_owned();
+    let commands = tiepoint_cli::commands();
+    let all: Vec<Vec<String>> = commands.into_iter().map(|command| command.words).collect();
+    for words in &all {
+        page += &format!("- [{}](#tiepoint-{})\n", words.join(" "), words.join("-"));
+    }
+    for words in &all {
+        let lines = help(words);
+        let lines: Vec<&str> = lines.lines().map(str::trim_end).collect();
+        let text = lines.join("\n");
+        page += &format!("\n## tiepoint {}\n\n```text\n{}\n```\n", words.join(" "), text.trim());
+    }
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/commands.md");
+    if std::env::var_os("TIEPOINT_WRITE").is_some() {
+        std::fs::write(&path, &page).unwrap();
+    }
+    // A published package has no such folder.
+    let Ok(there) = std::fs::read_to_string(&path) else { return };
+    assert!(there == page, "docs/commands.md is old: CONTRIBUTING.md says how it is generated");
+}
+
+/// A screen: as many lines as an editor shows.
+const SCREEN: usize = 52;
+
+#[test]
+fn short_help_is_a_screen_with_headings() {
+    for command in tiepoint_cli::commands() {
+        let short = tiepoint(command.words.iter().map(String::as_str).chain(["-h"]));
+        let short = short.done().stdout();
+        assert!(short.lines().count() <= SCREEN, "{:?}: {}", command.words, short.lines().count());
+        let long = tiepoint(command.words.iter().map(String::as_str).chain(["--help"]));
+        assert!(short.len() <= long.done().stdout().len(), "{:?}", command.words);
+    }
+    let short = tiepoint(["reconstruct", "-h"]).done().stdout();
+    for heading in ["Input:", "Cameras:", "Matching:", "Rig and time:", "Output:"] {
+        assert!(short.contains(&format!("\n{heading}\n")), "no {heading}");
+    }
 }

@@ -33,5 +33,12 @@ fn a_photo_of_another_place_is_named_with_its_reason() {
     );
     tiepoint_in(dir.path(), "view {}/w").done();
     let page = fs::read_to_string(dir.path().join("w/report.html")).unwrap();
-    assert!(page.contains("1 without a verified pair"), "the page says it, too");
+    for part in
+        ["Images without a pose", "other.png", "without a verified pair", "Incomplete: 5 of 6"]
+    {
+        assert!(page.contains(part), "{part}");
+    }
+    for part in ["result    incomplete: 5 of 6 images", "next      tiepoint view"] {
+        assert!(text.contains(part), "{text}");
+    }
 }

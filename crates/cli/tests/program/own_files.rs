@@ -251,8 +251,11 @@ const READ: [&str; 18] = [
     "workspace",
 ];
 /// The same for COLMAP's options.
-const COLMAP_WRITTEN: [&str; 3] = ["database_path", "output_path", "transform_path"];
-const COLMAP_READ: [&str; 17] = [
+const COLMAP_WRITTEN: [&str; 4] =
+    ["database_path", "output_path", "transform_path", "workspace_path"];
+const COLMAP_READ: [&str; 19] = [
+    "mask_path",
+    "vocab_tree_path",
     "ImageReader.camera_mask_path",
     "ImageReader.mask_path",
     "Mapper.constant_camera_list_path",

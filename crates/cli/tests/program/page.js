@@ -74,6 +74,23 @@ addEventListener('load', async () => {
     [-1, -0.999],
     [2, 31],
   ].map(bounds => ticks(widened(bounds)).labels);
+  // By keyboard: the view turns, and every plot, picture and control has a name.
+  const yaw = () => Math.atan2(view.section.camera.position.y, view.section.camera.position.x);
+  reset(view.section);
+  const [from, far] = [yaw(), distance()];
+  const press = key => view.canvas.dispatchEvent(new KeyboardEvent('keydown', { key }));
+  press('ArrowRight');
+  found.turns = Math.abs(yaw() - from - 0.1) < 1e-6;
+  press('+');
+  found.zooms = Math.abs(distance() / far - 0.9) < 1e-6;
+  const named = element =>
+    element.getAttribute('aria-label') || element.textContent.trim() || element.closest('label');
+  found.unnamed = [...document.querySelectorAll('canvas, .plots svg, button, select, input, th')]
+    .filter(element => !named(element))
+    .map(element => element.outerHTML.slice(0, 80));
+  const scene = document.querySelector('.scene');
+  found.legend = scene.querySelector('.legend').textContent;
+  found.bar = scene.querySelector('.bar').textContent;
   found.problems = problems;
   console.info(`RESULT ${JSON.stringify(found)}`);
 });

@@ -101,10 +101,15 @@ fn a_browser_draws_the_page_and_shows_the_photo_of_a_clicked_camera() {
     assert!(found["colours"].as_u64() > Some(500), "{found}");
     assert!(found["green"].as_u64() > Some(100), "{found}");
     assert!(found["orange"].as_u64() > Some(100), "{found}");
-    for word in ["isOpen", "isMarked", "hoveredNothing", "hasMoved", "fewest", "all"] {
+    for word in
+        ["isOpen", "isMarked", "hoveredNothing", "hasMoved", "fewest", "all", "turns", "zooms"]
+    {
         assert_eq!(found[word], true, "{word}: {found}");
     }
     assert!(found["eye"].as_f64().unwrap() < 1e-6, "looks through the camera: {found}");
+    assert_eq!(found["unnamed"], serde_json::json!([]));
+    assert_eq!(found["legend"], format!("camera 1: {COUNT}"));
+    assert!(found["bar"].as_str().unwrap().contains(" unit"), "{found}");
     let axes = ["axes", "ticks"].map(|name| found[name].as_array().unwrap().clone()).concat();
     assert!(axes.len() > 13, "{found}");
     for axis in axes {

@@ -3,6 +3,7 @@
 use std::fs;
 use std::path::Path;
 
+use serde_json::Value;
 use tiepoint_pipeline::io::colmap::read_model;
 use tiepoint_pipeline::sfm::geometry::CameraModelKind;
 
@@ -111,4 +112,56 @@ fn cameras_without_a_pinhole_and_absent_photos_are_errors() {
     tiepoint_in(dir, &format!("{line} --min-scale 3")).failed(1, &["max_scale is 2"]);
     fs::remove_file(dir.join("photos/b/1.jpg")).unwrap();
     tiepoint_in(dir, line).failed(1, &["b/1.jpg", "photos"]);
+}
+
+/// A model without rolling shutters: gsplat's reader of COLMAP's files takes the photos and
+/// `sparse/0`, its `rasterization` the arguments in `rolling_shutter.json`.
+#[test]
+fn export_for_gsplat_needs_no_rolling_shutter() {
+    let dir = tempfile::tempdir().unwrap();
+    let dir = dir.path();
+    write_photos(&dir.join("photos"));
+    write_model(&dir.join("model"), "RADIAL 97 61 70 48.5 30.5 0.1 0.02");
+    tiepoint_in(dir, "export {}/model --to gsplat --images {}/photos -o {}/out").done();
+    for name in ["a/1.png", "b/1.jpg"] {
+        let photo = fs::read(dir.join("photos").join(name)).unwrap();
+        assert!(fs::read(dir.join("out/images").join(name)).unwrap() == photo, "{name}");
+    }
+    let (from, to) = (read_model(&dir.join("model")), read_model(&dir.join("out/sparse/0")));
+    let (from, to) = (from.unwrap(), to.unwrap());
+    assert_eq!(to.cameras().collect::<Vec<_>>(), from.cameras().collect::<Vec<_>>());
+    assert_eq!((to.num_tracks(), to.num_registered()), (2, 2));
+    let text = fs::read(dir.join("out/rolling_shutter.json")).unwrap();
+    let frames: Value = serde_json::from_slice(&text).unwrap();
+    let frames = frames["frames"].as_array().unwrap();
+    assert_eq!(frames.len(), 2);
+    for frame in frames {
+        assert_eq!(frame["rolling_shutter"], "GLOBAL");
+        assert_eq!(frame["viewmats"], frame["viewmats_rs"]);
+        assert_eq!(frame["radial_coeffs"].as_array().unwrap().len(), 6);
+    }
+    // The other trainer for rolling shutters needs their motion.
+    tiepoint_in(dir, "export {}/model --to 3dgs-deblur --images {}/photos -o {}/deblur")
+        .failed(1, &["no rolling shutter", "tiepoint undistort"]);
+}
+
+#[test]
+fn models_are_described_in_a_few_digits_and_mistakes_are_named() {
+    let dir = tempfile::tempdir().unwrap();
+    let dir = dir.path();
+    write_model(&dir.join("model"), "RADIAL 97 61 70.123456789 48.5 30.5 0.1 0.02");
+    let text = tiepoint_in(dir, "model info {}/model").done().stdout();
+    for part in ["f 70.1235,", "k1 0.1,", "points from (0, 0, 5) to (1, 1, 5)"] {
+        assert!(text.contains(part), "{part}: {text}");
+    }
+    assert!(!text.contains("rigs"), "{text}");
+    tiepoint_in(dir, "export {}/model --to gltf -o {}/a.gltf").failed(1, &["a.gltf", ".glb"]);
+    tiepoint_in(dir, "export {}/model --to gltf -o {}/a.glb").done();
+    tiepoint_in(dir, "undistort {}/model -o {}/out --downscale 3x").failed(2, &["as 2,4,8"]);
+    // A truth of other names.
+    write_model(&dir.join("truth"), "RADIAL 97 61 70 48.5 30.5 0.1 0.02");
+    let images = fs::read_to_string(dir.join("truth/images.txt")).unwrap();
+    fs::write(dir.join("truth/images.txt"), images.replace("/1.", "/7.")).unwrap();
+    tiepoint_in(dir, "evaluate poses {}/model --truth colmap:{}/truth")
+        .failed(1, &["only 0 images", "the model has a/1.png, the truth a/7.png"]);
 }

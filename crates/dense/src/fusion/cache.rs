@@ -1,21 +1,21 @@
-//! Images in memory, and which of their pixels are in the cloud already.
+//! Images in memory, and the marks of their pixels.
 
 use std::collections::BTreeMap;
 
-use super::image::FusionImage;
+use super::image::{FusionImage, mark};
 
 /// Images in memory, bounded in number; the least recently used one goes first.
 pub(super) struct Cache {
     capacity: usize,
     clock: u64,
     images: BTreeMap<usize, (u64, FusionImage)>,
-    /// Pixels that are in the cloud, one bit each, of images that a later one may need.
-    covered: BTreeMap<usize, Vec<u64>>,
+    /// The marks of images that are needed later.
+    marks: BTreeMap<usize, Vec<u64>>,
 }
 
 impl Cache {
     pub(super) fn new(capacity: usize) -> Self {
-        Self { capacity, clock: 0, images: BTreeMap::new(), covered: BTreeMap::new() }
+        Self { capacity, clock: 0, images: BTreeMap::new(), marks: BTreeMap::new() }
     }
 
     /// Loads an image and as many of its neighbours, in order, as there is room for.
@@ -43,8 +43,8 @@ impl Cache {
                 self.images.remove(&oldest);
             }
             let mut loaded = load(image)?;
-            if let Some(covered) = self.covered.get(&image) {
-                loaded.covered.clone_from(covered);
+            if let Some(marks) = self.marks.get(&image) {
+                loaded.marks.clone_from(marks);
             }
             self.images.insert(image, (self.clock, loaded));
         }
@@ -61,21 +61,27 @@ impl Cache {
         self.images.get(&index).filter(|(used, _)| *used == self.clock).map(|(_, image)| image)
     }
 
-    /// Notes the pixels of an image that are in the cloud.
-    pub(super) fn set_covered(&mut self, index: usize, is_covered: Vec<bool>) {
-        let word = |bits: &[bool]| {
-            bits.iter().enumerate().fold(0, |word, (bit, is_set)| word | u64::from(*is_set) << bit)
-        };
-        let covered: Vec<u64> = is_covered.chunks(64).map(word).collect();
+    /// Replaces the marks of an image.
+    pub(super) fn set_marks(&mut self, index: usize, marks: Vec<u64>) {
         if let Some((_, image)) = self.images.get_mut(&index) {
-            image.covered.clone_from(&covered);
+            image.marks.clone_from(&marks);
         }
-        self.covered.insert(index, covered);
+        self.marks.insert(index, marks);
+    }
+
+    /// Marks a pixel of an image in memory.
+    pub(super) fn mark(&mut self, index: usize, pixel: usize) {
+        if let Some((_, image)) = self.images.get_mut(&index) {
+            let words = image.depths.depths.len().div_ceil(64);
+            image.marks.resize(words, 0);
+            mark(&mut image.marks, pixel);
+            mark(self.marks.entry(index).or_insert_with(|| vec![0; words]), pixel);
+        }
     }
 
     /// Forgets the images that no visit after `index` needs.
     pub(super) fn forget_unused(&mut self, index: usize, last_use: &[usize]) {
         self.images.retain(|image, _| last_use[*image] > index);
-        self.covered.retain(|image, _| last_use[*image] > index);
+        self.marks.retain(|image, _| last_use[*image] > index);
     }
 }

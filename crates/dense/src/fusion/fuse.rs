@@ -3,18 +3,11 @@
 use rayon::prelude::*;
 
 use super::cache::Cache;
-use super::image::{Agreement, FusionImage, agreement};
+use super::image::{Agreement, FusionImage, agreement, mark};
 use super::options::FusionOptions;
 
 /// Most neighbours of an image: the supporting images of a point are the bits of a word.
 pub const MAX_NEIGHBOURS: usize = 31;
-
-/// A pixel gives no point if an earlier image has a point on its surface, and the pixel of that
-/// point covers at most this many times the area that this pixel covers. With 2, images at all
-/// distances give together at most twice the points of the nearest image: each coarser image that
-/// gives points has at most half as many pixels on the surface as the next finer one (1 + 1/2 +
-/// 1/4 + …). With 1, images at nearly equal distances all give points (`docs/benchmarks/dense.md`).
-const MAX_COVERED_AREA: f64 = 2.0;
 
 /// A point of the fused cloud.
 #[derive(Clone, Debug, PartialEq)]
@@ -34,8 +27,8 @@ pub struct FusedPoint {
 /// in a fixed order.
 ///
 /// Images are visited in order. A pixel gives a point if enough images agree with it, at the mean
-/// of their depths along its ray, unless an earlier image that has at least half as many pixels on
-/// the surface has given one there.
+/// of their depths along its ray, unless one of these images has more pixels on the surface: an
+/// earlier one whose surface is in the cloud, or a later one, to which the surface is left.
 ///
 /// # Errors
 /// Those of `load` and `take`.
@@ -54,24 +47,24 @@ pub fn fuse<E>(
         let loaded: Vec<(usize, &FusionImage)> =
             others.iter().filter_map(|other| Some((*other, cache.find(*other)?))).collect();
         let width = reference.depths.width.max(1);
-        let rows: Vec<Vec<Pixel>> = (0..reference.depths.height)
+        let rows: Vec<Row> = (0..reference.depths.height)
             .into_par_iter()
-            .map(|y| {
-                let pixel = |x| fuse_pixel(index, reference, &loaded, x, y, options);
-                (0..width).filter_map(pixel).collect()
-            })
+            .map(|y| fuse_row(index, reference, &loaded, y, options))
             .collect();
-        let mut is_covered = vec![false; reference.depths.depths.len()];
+        let mut marks = vec![0; reference.depths.depths.len().div_ceil(64)];
         let slots: Vec<usize> = loaded.iter().map(|(other, _)| *other).collect();
-        for (y, row) in rows.into_iter().enumerate() {
-            for pixel in row {
-                is_covered[y * width + pixel.x as usize] = true;
-                if let Some(point) = pixel.point {
-                    take(named(*point, index, &slots))?;
-                }
+        for (y, row) in rows.iter().enumerate() {
+            row.in_cloud.iter().for_each(|x| mark(&mut marks, y * width + *x as usize));
+        }
+        cache.set_marks(index, marks);
+        for row in rows {
+            for (slot, pixel) in row.left {
+                cache.mark(slots[slot as usize], pixel as usize);
+            }
+            for point in row.points {
+                take(named(point, index, &slots))?;
             }
         }
-        cache.set_covered(index, is_covered);
         cache.forget_unused(index, &last_use);
     }
     Ok(())
@@ -88,10 +81,25 @@ fn last_uses(neighbours: &[Vec<usize>]) -> Vec<usize> {
     last
 }
 
-/// A pixel whose surface is in the cloud: with a new point, or without if an earlier image gave it.
-struct Pixel {
-    x: u32,
-    point: Option<Box<PointCandidate>>,
+/// The pixels of a row whose surface is in the cloud, or will be.
+#[derive(Default)]
+struct Row {
+    points: Vec<PointCandidate>,
+    /// Columns of the points, and of pixels whose surface an earlier image gave.
+    in_cloud: Vec<u32>,
+    /// Pixels of later images that shall give a surface, by the place of the image among the
+    /// neighbours.
+    left: Vec<(u32, u32)>,
+}
+
+/// What becomes of the surface of a pixel.
+enum Outcome {
+    /// A new point.
+    Point(PointCandidate),
+    /// An earlier image gave it.
+    InCloud,
+    /// A later image with more pixels on it shall give it.
+    Left { slot: u32, pixel: u32 },
 }
 
 /// A point whose images are bits: the reference first, then its neighbours.
@@ -111,6 +119,28 @@ fn named(draft: PointCandidate, index: usize, others: &[usize]) -> FusedPoint {
     FusedPoint { xyz, normal, color, views }
 }
 
+fn fuse_row(
+    index: usize,
+    reference: &FusionImage,
+    others: &[(usize, &FusionImage)],
+    y: usize,
+    options: &FusionOptions,
+) -> Row {
+    let mut row = Row::default();
+    for x in 0..reference.depths.width {
+        match fuse_pixel(index, reference, others, x, y, options) {
+            None => {}
+            Some(Outcome::InCloud) => row.in_cloud.push(x as u32),
+            Some(Outcome::Left { slot, pixel }) => row.left.push((slot, pixel)),
+            Some(Outcome::Point(point)) => {
+                row.in_cloud.push(x as u32);
+                row.points.push(point);
+            }
+        }
+    }
+    row
+}
+
 fn fuse_pixel(
     index: usize,
     reference: &FusionImage,
@@ -118,21 +148,27 @@ fn fuse_pixel(
     x: usize,
     y: usize,
     options: &FusionOptions,
-) -> Option<Pixel> {
+) -> Option<Outcome> {
     let own = reference.surface(x, y)?;
     let mut views = 1u32;
     let (mut depth, mut normal) = (own.depth, own.normal);
     let mut color = own.color.map(u32::from);
     let point = reference.world_point(&own, own.depth);
     let min_cosine = options.max_normal_error_rad.cos();
+    let mut finest = (1.0, None);
+    // Images in whose frame the point lies.
+    let mut frames = 1;
     for (slot, (other_index, other)) in others.iter().enumerate() {
-        let Some(Agreement { depth: other_depth, surface, is_covered, area }) =
-            agreement(reference, &own, &point, other, min_cosine, options)
-        else {
-            continue;
-        };
-        if *other_index < index && is_covered && area <= MAX_COVERED_AREA * own.area {
-            return Some(Pixel { x: x as u32, point: None });
+        let Some((in_other, pixel)) = other.seen(&point) else { continue };
+        frames += 1;
+        let agreed = agreement(reference, &own, other, &in_other, pixel, min_cosine, options);
+        let Some(Agreement { depth: other_depth, surface, area }) = agreed else { continue };
+        let is_earlier = *other_index < index;
+        if is_earlier && area <= 1.0 && other.is_marked(surface.index) {
+            return Some(Outcome::InCloud);
+        }
+        if !is_earlier && area < finest.0 {
+            finest = (area, Some((slot as u32, surface.index as u32)));
         }
         views |= 2 << slot;
         depth += other_depth;
@@ -140,8 +176,16 @@ fn fuse_pixel(
         (0..3).for_each(|channel| color[channel] += u32::from(surface.color[channel]));
     }
     let count = views.count_ones();
-    if (count as usize) < options.min_views.min(others.len() + 1) {
+    // A second one confirms a surface that lies in no third image.
+    let possible = frames.max(2).min(others.len() + 1);
+    let is_enough = count as usize >= options.min_views.min(possible);
+    // An earlier image that left its surface to this one has found enough images.
+    let was_enough = count > 1 && reference.is_marked(own.index);
+    if !(is_enough || was_enough) {
         return None;
+    }
+    if let (_, Some((slot, pixel))) = finest {
+        return Some(Outcome::Left { slot, pixel });
     }
     let xyz = reference.world_point(&own, depth / f64::from(count));
     let length = normal.norm();
@@ -152,5 +196,5 @@ fn fuse_pixel(
         color: color.map(|sum| ((sum + count / 2) / count) as u8),
         views,
     };
-    Some(Pixel { x: x as u32, point: Some(Box::new(point)) })
+    Some(Outcome::Point(point))
 }

@@ -24,8 +24,9 @@ pub struct FusionImage {
     normals: Vec<[i16; 3]>,
     /// Red, green, blue by pixel.
     colors: Vec<u8>,
-    /// Pixels whose surface is in the cloud, one bit each; empty before the image is visited.
-    pub(super) covered: Vec<u64>,
+    /// One bit a pixel. Before the image is visited: an earlier image left the surface to this
+    /// pixel. After: the surface is in the cloud. Empty if there is none.
+    pub(super) marks: Vec<u64>,
 }
 
 /// The surface at a pixel.
@@ -37,8 +38,6 @@ pub(super) struct Surface {
     /// Unit normal in the world frame.
     pub(super) normal: Vector3<f64>,
     pub(super) color: [u8; 3],
-    /// Area of the pixel on the surface, in squared units of the model.
-    pub(super) area: f64,
 }
 
 /// What another image sees at a surface.
@@ -46,8 +45,7 @@ pub(super) struct Agreement {
     /// Depth in the reference image of the surface that the other image sees.
     pub(super) depth: f64,
     pub(super) surface: Surface,
-    pub(super) is_covered: bool,
-    /// Area of the pixel of the other image on the surface.
+    /// Area of the pixel of the other image on the surface, in those of the pixel of the reference.
     pub(super) area: f64,
 }
 
@@ -72,7 +70,7 @@ impl FusionImage {
             depths,
             normals: normals.collect(),
             colors,
-            covered: Vec::new(),
+            marks: Vec::new(),
         })
     }
 
@@ -85,14 +83,10 @@ impl FusionImage {
                 self.normals[index].map(|value| f64::from(value) / f64::from(NORMAL_SCALE));
             let normal = Vector3::from(normal);
             let ray = self.camera.point(x as f64, y as f64, 1.0);
-            let [fx, fy] = self.camera.focal;
-            // A square of one pixel at this depth, seen at the angle between surface and ray.
-            let frontal = depth * depth / (fx * fy);
             Surface {
                 index,
                 ray,
                 depth,
-                area: frontal / (normal.dot(&ray) / ray.norm()).abs().max(MIN_COSINE),
                 normal: self.world_from_cam.rotation * normal,
                 color: std::array::from_fn(|channel| self.colors[3 * index + channel]),
             }
@@ -104,29 +98,49 @@ impl FusionImage {
         self.world_from_cam * (surface.ray * depth)
     }
 
-    fn is_covered(&self, index: usize) -> bool {
-        self.covered.get(index / 64).is_some_and(|word| word >> (index % 64) & 1 != 0)
+    /// A point of the world frame in that of the camera, and the pixel that sees it; `None` if it
+    /// lies outside of the image.
+    pub(super) fn seen(&self, point: &Vector3<f64>) -> Option<(Vector3<f64>, [usize; 2])> {
+        let in_camera = self.camera.cam_from_world * *point;
+        let place = self.camera.project(&in_camera)?;
+        let (x, y) = ((place.x + 0.5).floor(), (place.y + 0.5).floor());
+        let (width, height) = (self.depths.width as f64, self.depths.height as f64);
+        let is_inside = x >= 0.0 && y >= 0.0 && x < width && y < height;
+        is_inside.then_some((in_camera, [x as usize, y as usize]))
+    }
+
+    /// Area of a pixel on a surface at a point of the world frame, up to the length of the normal.
+    fn area(&self, in_camera: &Vector3<f64>, normal: &Vector3<f64>) -> f64 {
+        let [fx, fy] = self.camera.focal;
+        // A square of one pixel at this depth, seen at the angle between surface and ray.
+        let normal = self.camera.cam_from_world.rotation * normal;
+        let cosine = normal.dot(in_camera).abs() / in_camera.norm();
+        in_camera.z * in_camera.z / (fx * fy * cosine.max(MIN_COSINE))
+    }
+
+    pub(super) fn is_marked(&self, index: usize) -> bool {
+        self.marks.get(index / 64).is_some_and(|word| word >> (index % 64) & 1 != 0)
     }
 }
 
-/// What `other` sees at a surface of `reference` at `point` in the world frame, if it is the same
-/// surface. `min_cosine` is that of the largest angle between the normals.
+/// Sets the bit of a pixel.
+pub(super) fn mark(marks: &mut [u64], pixel: usize) {
+    marks[pixel / 64] |= 1 << (pixel % 64);
+}
+
+/// What `other` sees at a surface of `reference` that lies at `in_other` in its frame and in its
+/// pixel `pixel`, if it is the same surface. `min_cosine` is that of the largest angle between the
+/// normals.
 pub(super) fn agreement(
     reference: &FusionImage,
     own: &Surface,
-    point: &Vector3<f64>,
     other: &FusionImage,
+    in_other: &Vector3<f64>,
+    pixel: [usize; 2],
     min_cosine: f64,
     options: &FusionOptions,
 ) -> Option<Agreement> {
-    let in_other = other.camera.cam_from_world * *point;
-    let place = other.camera.project(&in_other)?;
-    let (x, y) = ((place.x + 0.5).floor(), (place.y + 0.5).floor());
-    let (width, height) = (other.depths.width as f64, other.depths.height as f64);
-    if !(x >= 0.0 && y >= 0.0 && x < width && y < height) {
-        return None;
-    }
-    let surface = other.surface(x as usize, y as usize)?;
+    let surface = other.surface(pixel[0], pixel[1])?;
     if surface.normal.dot(&own.normal) < min_cosine {
         return None;
     }
@@ -145,6 +159,8 @@ pub(super) fn agreement(
     if (seen - own_place).norm() > options.max_error_px {
         return None;
     }
-    let (is_covered, area) = (other.is_covered(surface.index), surface.area);
-    Some(Agreement { depth: back.z, surface, is_covered, area })
+    // With one normal for both, so that each of the two images finds the same one finer.
+    let normal = 0.5 * (own.normal + surface.normal);
+    let area = other.area(in_other, &normal) / reference.area(&(own.ray * own.depth), &normal);
+    Some(Agreement { depth: back.z, surface, area })
 }

@@ -1,7 +1,8 @@
 /// Options of [`fuse`](super::fuse).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FusionOptions {
-    /// Smallest number of images that agree on a point, the reference included.
+    /// Smallest number of images that agree on a point, the reference included. Where a point lies
+    /// in fewer images, two suffice.
     pub min_views: usize,
     /// Largest distance between a pixel and the reprojection of the surface that another image
     /// sees there, in pixels. COLMAP's default is 2. Half and twice of it change F1 by at most

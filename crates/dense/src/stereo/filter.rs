@@ -14,7 +14,7 @@ const MAX_COST: f32 = MAX_SELECTED_COST;
 const MAX_ERROR_PX: f32 = 1.0;
 /// Number of source images whose planes must agree, or all if there are fewer. One source keeps
 /// depths that few images see, such as those of paving at a low angle. More of them are wrong, but
-/// the fusion asks for three images. Two lower F1 by up to 1.3 %.
+/// the fusion asks for three images where there are. Two lower F1 by up to 1.3 %.
 const MIN_SOURCES: usize = 1;
 
 /// The depths of the planes whose cost is low, and with which the planes of enough sources agree.

@@ -196,7 +196,7 @@ fn write_results(
     let mut models = Vec::new();
     for (run, drive) in runs.iter().zip(drives) {
         let Some(world_from_model) = run.world_from_model() else { continue };
-        let model = read_drive_model(&run.workspace, drive)?;
+        let (model, rig) = read_drive_model(&run.workspace, drive)?;
         let errors = camera_errors(&model, drive, &world_from_model);
         let report: Report = Workspace::open(&run.workspace)?.report()?;
         if !photos.last().is_some_and(|(last, _)| std::ptr::eq(*last, *drive)) {
@@ -205,19 +205,22 @@ fn write_results(
         let of_cloud = run.result.as_ref().and_then(|result| result.dense.as_ref());
         let of_cloud = of_cloud.map_or_else(Vec::new, DenseCloud::errors);
         let set = photos.len() - 1;
-        models.push((run, world_from_model, model, (errors, of_cloud), report, set));
+        models.push((run, world_from_model, (model, rig), (errors, of_cloud), report, set));
     }
     let report_models: Vec<ReportModel> = models
         .iter()
-        .map(|(run, world_from_model, model, (camera_errors, of_cloud), report, set)| ReportModel {
-            name: &run.name,
-            model,
-            world_from_model: Some(*world_from_model),
-            report: Some(report),
-            camera_errors,
-            cloud_errors: of_cloud,
-            dense: None,
-            photos: Some(&photos[*set].1),
+        .map(|(run, world_from_model, (model, rig), (camera_errors, of_cloud), report, set)| {
+            ReportModel {
+                name: &run.name,
+                model,
+                rig: rig.as_ref(),
+                world_from_model: Some(*world_from_model),
+                report: Some(report),
+                camera_errors,
+                cloud_errors: of_cloud,
+                dense: None,
+                photos: Some(&photos[*set].1),
+            }
         })
         .collect();
     let page = folder.join("report.html");

@@ -126,7 +126,7 @@ pub struct FocalLength {
     pub camera: u32,
     /// Estimated focal length.
     pub model_px: f64,
-    /// True focal length, where it is known.
+    /// True focal length in pixels of the model's images, where it is known.
     pub truth_px: Option<f64>,
 }
 
@@ -141,7 +141,10 @@ const MAX_TIME_DIFFERENCE_S: f64 = 0.02;
 /// A true pose, and the true focal length where it is known.
 struct TruePose {
     cam_from_world: Rigid3,
-    focal_px: Option<f64>,
+    /// With the image width that it is for.
+    focal_px: Option<(f64, u32)>,
+    /// Name of the image, where the truth has names.
+    name: Option<String>,
 }
 
 /// Evaluates the poses of a model. With `prefix`, only images whose names
@@ -178,8 +181,14 @@ pub fn evaluate_poses(
     let true_poses: Vec<Rigid3> = pairs.iter().map(|(_, truth)| truth.cam_from_world).collect();
     let registered = found.iter().flatten().count();
     if registered < 3 {
+        let names = match (registered, images.first(), pairs.first()) {
+            (0, Some(image), Some((None, TruePose { name: Some(name), .. }))) => {
+                format!("; the model has {}, the truth {name}", image.name)
+            }
+            _ => String::new(),
+        };
         return Err(error(format!(
-            "only {registered} images have a pose in both, and three are needed"
+            "only {registered} images have a pose in both, and three are needed{names}"
         )));
     }
     let comparison =
@@ -220,7 +229,7 @@ fn associate_images<'a>(
     images: &[&'a Image],
     truth: &Truth,
 ) -> Result<Vec<(Option<&'a Image>, TruePose)>, Error> {
-    let pose = |cam_from_world| TruePose { cam_from_world, focal_px: None };
+    let pose = |cam_from_world| TruePose { cam_from_world, focal_px: None, name: None };
     let by_name = |poses: Vec<(String, TruePose)>| {
         let names: Vec<&str> = poses.iter().map(|(name, _)| name.as_str()).collect();
         let found = images_of_names(images, &names);
@@ -232,17 +241,20 @@ fn associate_images<'a>(
             strecha::read(path)?
                 .into_iter()
                 .map(|camera| {
-                    let focal_px =
-                        Some(0.5 * (camera.calibration[(0, 0)] + camera.calibration[(1, 1)]));
-                    (camera.name, TruePose { cam_from_world: camera.cam_from_world, focal_px })
+                    let mean_px = 0.5 * (camera.calibration[(0, 0)] + camera.calibration[(1, 1)]);
+                    let (cam_from_world, name) = (camera.cam_from_world, Some(camera.name.clone()));
+                    let focal_px = Some((mean_px, camera.width));
+                    (camera.name, TruePose { cam_from_world, focal_px, name })
                 })
                 .collect(),
         ),
         TruthFormat::Colmap => {
             let model = LocatedModel::open(path)?.reconstruction;
             let poses = model.registered().map(|(id, image, cam_from_world)| {
-                let focal_px = Some(model.camera_of(id).intrinsics.mean_focal_px());
-                (image.name.clone(), TruePose { cam_from_world: *cam_from_world, focal_px })
+                let camera = model.camera_of(id);
+                let focal_px = Some((camera.intrinsics.mean_focal_px(), camera.width));
+                let (cam_from_world, name) = (*cam_from_world, Some(image.name.clone()));
+                (image.name.clone(), TruePose { cam_from_world, focal_px, name })
             });
             by_name(poses.collect())
         }
@@ -297,7 +309,13 @@ fn images_of_names<'a>(images: &[&'a Image], names: &[&str]) -> Vec<Option<&'a I
 fn focal_lengths(model: &Reconstruction, pairs: &[(Option<&Image>, TruePose)]) -> Vec<FocalLength> {
     let mut cameras: BTreeMap<u32, Vec<f64>> = BTreeMap::new();
     for (image, truth) in pairs.iter().filter_map(|(image, truth)| Some(((*image)?, truth))) {
-        cameras.entry(image.camera.0).or_default().extend(truth.focal_px);
+        // The photos of the model may be smaller copies of those of the truth.
+        let width = f64::from(model.camera(image.camera).width);
+        let scaled = truth.focal_px.map(|(focal_px, of)| match of {
+            0 => focal_px,
+            of => focal_px * (width / f64::from(of)),
+        });
+        cameras.entry(image.camera.0).or_default().extend(scaled);
     }
     let focal = |(id, truth): (u32, Vec<f64>)| FocalLength {
         camera: id + 1,

@@ -6,10 +6,12 @@ use serde::Serialize;
 use tiepoint_eval::geometry::Rigid3;
 use tiepoint_eval::{PosePair, RelativePoseSeries, Statistics, associate, relative_pose_series};
 use tiepoint_input::sequences::number;
+use tiepoint_sfm::rigs::{ReferencedImage, SensorPair};
 use tiepoint_sfm::scene::{CameraId, Image, Reconstruction};
 
 use crate::evaluation::poses::ErrorStatistics;
 use crate::workspace::image_names::stream_of;
+use crate::workspace::rig_file::RigFile;
 
 /// Statistics of the relative pose of two cameras in a model (p_i of Huang, Elhashash & Qin 2022)
 /// over all frames.
@@ -17,8 +19,12 @@ use crate::workspace::image_names::stream_of;
 pub struct RigEvaluation {
     /// Folders of the two cameras.
     pub cameras: [String; 2],
-    /// Number of frames: pairs of registered images that are nearest in time.
+    /// Number of frames. With the clock of a rig: images of the second camera at whose times the
+    /// first has a (synchronous or interpolated) pose, without those that contradict the
+    /// extrinsics. Else pairs of registered images that are nearest in time.
     pub frames: usize,
+    /// Whether the clock of a rig relates the times of the two cameras.
+    pub has_clock: bool,
     /// Distance of the two cameras, in model units times `scale`, as all lengths here.
     pub baseline: ErrorStatistics,
     /// Root mean square deviation of the second camera's centre from its mean, in the frame of the
@@ -41,12 +47,17 @@ pub struct RigEvaluation {
     pub series: RelativePoseSeries,
 }
 
-/// Evaluates every pair of cameras with synchronous images; empty for a single camera. Lengths are
-/// multiplied by `scale`: 1 keeps units of the model, [`crate::evaluation::PoseEvaluation::scale`]
-/// gives those of the ground truth.
+/// Evaluates every pair of cameras whose images are related in time; empty for a single camera.
+/// Lengths are multiplied by `scale`: 1 keeps units of the model,
+/// [`crate::evaluation::PoseEvaluation::scale`] gives those of the ground truth.
 ///
-/// Images are paired by their times, or, if an image has none, by the numbers in their names.
-pub fn evaluate_rig(model: &Reconstruction, scale: f64) -> Vec<RigEvaluation> {
+/// The cameras of `rig` are compared with its reference camera, at the times of its clocks. Other
+/// images are paired by their times, or, if an image has none, by the numbers in their names.
+pub fn evaluate_rig(
+    model: &Reconstruction,
+    rig: Option<&RigFile>,
+    scale: f64,
+) -> Vec<RigEvaluation> {
     let has_times = model.registered().all(|(_, image, _)| image.time_s.is_some());
     let time_of = |image: &Image| {
         if has_times { image.time_s } else { number(&image.name).map(|number| number as f64) }
@@ -59,22 +70,66 @@ pub fn evaluate_rig(model: &Reconstruction, scale: f64) -> Vec<RigEvaluation> {
     }
     poses.values_mut().for_each(|poses| poses.sort_by(|a, b| a.0.total_cmp(&b.0)));
     let cameras: Vec<CameraPoses> = poses.into_iter().collect();
+    let names: BTreeMap<CameraId, String> =
+        cameras.iter().map(|(camera, _)| (*camera, stream_of(model, *camera))).collect();
     let pairs =
         cameras.iter().enumerate().flat_map(|(k, a)| cameras[k + 1..].iter().map(move |b| (a, b)));
-    pairs.filter_map(|(a, b)| evaluate_pair(model, a, b, scale)).collect()
+    let evaluate = |(left, right): (&CameraPoses, &CameraPoses)| {
+        let cameras = [left, right].map(|(camera, _)| names[camera].clone());
+        let has_clock = rig.is_some_and(|rig| cameras.iter().all(|name| rig.has_camera(name)));
+        let pairs = if has_clock {
+            poses_at_clock(model, rig?, [left.0, right.0], &cameras, &time_of)?
+        } else {
+            synchronous_pairs(&left.1, &right.1)?
+        };
+        evaluation(cameras, has_clock, &pairs, scale)
+    };
+    pairs.filter_map(evaluate).collect()
 }
 
 /// A camera with the times and poses (`cam_from_world`) of its images, in order of time.
 type CameraPoses = (CameraId, Vec<(f64, Rigid3)>);
 
-fn evaluate_pair(
+/// The poses of a camera of a rig and those of the reference camera at the same times; `None` if
+/// neither is the reference camera.
+fn poses_at_clock(
     model: &Reconstruction,
-    left: &CameraPoses,
-    right: &CameraPoses,
+    rig: &RigFile,
+    [left, right]: [CameraId; 2],
+    names: &[String; 2],
+    time_of: &dyn Fn(&Image) -> Option<f64>,
+) -> Option<Vec<PosePair>> {
+    let is_left = names[0] == rig.reference;
+    let (reference, other, name) =
+        if is_left { (left, right, &names[1]) } else { (right, left, &names[0]) };
+    (is_left || names[1] == rig.reference).then_some(())?;
+    let camera = rig.cameras.iter().find(|camera| camera.name == *name)?;
+    let clock = camera.clock.clock();
+    let sensor_pair = SensorPair {
+        clock,
+        clock_state: camera.clock.state.into(),
+        ..SensorPair::synchronised(reference, other)
+    };
+    let contradicts = |image: &Image| rig.bad_pairs.iter().any(|[_, bad]| *bad == image.name);
+    let pair = |referenced: &ReferencedImage| {
+        let image = model.image(referenced.image);
+        let of_reference = referenced.rig_from_world(model, &clock)?;
+        let of_other = *image.cam_from_world()?;
+        let (left_from_world, right_from_world) =
+            if is_left { (of_reference, of_other) } else { (of_other, of_reference) };
+        let time_s = clock.reference_time_s(time_of(image)?);
+        (!contradicts(image)).then_some(PosePair { time_s, left_from_world, right_from_world })
+    };
+    Some(sensor_pair.referenced_images(model).iter().filter_map(pair).collect())
+}
+
+fn evaluation(
+    cameras: [String; 2],
+    has_clock: bool,
+    pairs: &[PosePair],
     scale: f64,
 ) -> Option<RigEvaluation> {
-    let pairs = synchronous_pairs(&left.1, &right.1)?;
-    let series = relative_pose_series(&pairs)?;
+    let series = relative_pose_series(pairs)?;
     let statistics = |values: Statistics| {
         let Statistics { mean, median, rmse, std, max, .. } = values;
         ErrorStatistics {
@@ -86,8 +141,9 @@ fn evaluate_pair(
         }
     };
     Some(RigEvaluation {
-        cameras: [left, right].map(|(camera, _)| stream_of(model, *camera)),
+        cameras,
         frames: pairs.len(),
+        has_clock,
         baseline: statistics(series.baseline),
         translation_rms: series.translation_rms * scale,
         rotation_rms_deg: series.rotation_rms_rad.to_degrees(),

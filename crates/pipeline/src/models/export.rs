@@ -51,7 +51,7 @@ pub enum ExportFormat {
     /// `transforms.json`, the images and the cloud, in a folder.
     Nerfstudio,
     /// The photos, the model with the detected keypoints, and `rolling_shutter.json` with the
-    /// poses of first and last rows, in a folder.
+    /// poses of first and last rows (the same without a rolling shutter), in a folder.
     Gsplat,
     /// [`Self::Nerfstudio`] with the keys of 3dgs-deblur: velocities and readout time.
     Deblur,
@@ -248,6 +248,9 @@ fn write_as(
             poses = 0;
         }
         ExportFormat::Gltf => {
+            if to.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("gltf")) {
+                return Err(Error::BinaryGltf { path: to.to_owned() });
+            }
             let (sparse, dense_points) = (ply::points(model), dense.map(ply::read).transpose()?);
             let mut clouds = vec![("points", sparse.as_slice())];
             clouds.extend(dense_points.iter().map(|points| ("dense", points.as_slice())));
@@ -383,9 +386,16 @@ fn export_gsplat(from: &ExportSource, to: &Path) -> Result<usize, Error> {
     const ROWS: &str = "rolling_shutter.json";
     refuse_workspace(to)?;
     refuse_shadow(from.model.folder(), to)?;
-    let motions = rolling_shutter::motions(from.model)?;
-    let rows = rolling_shutter::for_gsplat(&from.model.reconstruction, &motions);
-    let model = rolling_shutter::detected_keypoints(from.model)?;
+    // Without rolling shutters all images are GLOBAL, and the keypoints are where they were found.
+    let has_shutters = !from.model.shutters.is_empty();
+    let (rows, model) = match has_shutters {
+        true => {
+            let motions = rolling_shutter::motions(from.model)?;
+            let rows = rolling_shutter::for_gsplat(&from.model.reconstruction, &motions);
+            (rows, rolling_shutter::detected_keypoints(from.model)?)
+        }
+        false => (BTreeMap::new(), from.model.reconstruction.clone()),
+    };
     let inputs = from.model.files();
     let mut names = model_names(Some(SPARSE));
     names.push(ROWS.to_owned());

@@ -56,6 +56,8 @@ pub struct LocalizeOptions {
     pub calibration_files: Vec<CalibrationSource>,
     /// Folder of masks; no keypoints are detected where a mask is 0.
     pub masks: Option<PathBuf>,
+    /// Features are those of photos that are reduced to this larger side, in pixels.
+    pub max_size: Option<u32>,
     /// Photos with more pixels are skipped.
     pub max_pixels: u64,
     /// What detects and describes keypoints; that of the model's features.
@@ -76,6 +78,7 @@ impl Default for LocalizeOptions {
             calibration: Calibration::default(),
             calibration_files: Vec::new(),
             masks: None,
+            max_size: None,
             max_pixels: DEFAULT_MAX_PIXELS,
             extractor: Arc::new(SiftExtractor::default()),
             matcher: Arc::new(NearestNeighbours::default()),
@@ -351,7 +354,8 @@ impl ReferenceModel {
         };
         let cameras = self.cameras_of(name, index, &info, calibrations, options)?;
         // Not the features of the database, whose image of this name may be another photo.
-        let features = match extract_photo(&*options.extractor, photos, index) {
+        let (extractor, most) = (&*options.extractor, options.max_size);
+        let features = match extract_photo(extractor, photos, index, most) {
             Ok(features) => features,
             Err(error) => return Ok(Err(error.to_string())),
         };

@@ -33,7 +33,8 @@ pub fn extract_image(
     Ok(found)
 }
 
-/// Extracts the features of a photo, where its mask is not 0.
+/// Extracts the features of a photo, where its mask is not 0. Of a photo with a larger side than
+/// `max_size` pixels, they are those of a reduced copy, in pixels of the photo.
 ///
 /// # Errors
 ///
@@ -42,9 +43,37 @@ pub fn extract_photo(
     extractor: &dyn Extractor,
     photos: &ImageFolder,
     index: usize,
+    max_size: Option<u32>,
 ) -> Result<Features, Error> {
     let (image, mask) = (photos.luma(index)?, photos.mask(index)?);
-    extract_image(extractor, &image, mask.as_ref())
+    let reduced = max_size.and_then(|most| reduced_size(image.width, image.height, most));
+    let Some((width, height)) = reduced else {
+        return extract_image(extractor, &image, mask.as_ref());
+    };
+    let small = image.resized(width, height);
+    let mask = mask.map(|mask| mask.resized(width, height));
+    let mut features = extract_image(extractor, &small, mask.as_ref())?;
+    let x = image.width as f32 / width as f32;
+    let y = image.height as f32 / height as f32;
+    for keypoint in &mut features.keypoints {
+        keypoint.x *= x;
+        keypoint.y *= y;
+        keypoint.scale *= 0.5 * (x + y);
+    }
+    Ok(features)
+}
+
+/// The size of an image with its larger side reduced to `most`; `None` if it is smaller.
+fn reduced_size(width: u32, height: u32, most: u32) -> Option<(u32, u32)> {
+    let longest = width.max(height);
+    if longest <= most {
+        return None;
+    }
+    let scaled = |side: u32| {
+        let side = f64::from(side) * f64::from(most) / f64::from(longest);
+        (side.round() as u32).max(1)
+    };
+    Some((scaled(width), scaled(height)))
 }
 
 fn view(image: &Luma) -> GrayView<'_> {

@@ -17,7 +17,7 @@ use tiepoint_io::features::{Extractor, Features, SiftExtractor};
 use tiepoint_io::names::ByName;
 use tiepoint_io::timestamps;
 use tiepoint_sfm::geometry::numeric::median;
-use tiepoint_sfm::scene::{Camera, CameraId, Image, ImageId};
+use tiepoint_sfm::scene::{Camera, CameraId, Image, ImageId, Reconstruction};
 use tiepoint_store::Error as StoreError;
 
 use crate::stages::extraction::{extract_photo, memory_of};
@@ -42,6 +42,8 @@ pub struct FeatureOptions {
     /// CSV file of the capture times with the header `image,seconds`; `None`: times in the file
     /// names or in EXIF.
     pub timestamps: Option<PathBuf>,
+    /// Features are those of photos that are reduced to this larger side, in pixels.
+    pub max_size: Option<u32>,
     /// Photos with more pixels are skipped, which bounds the memory that a damaged or malicious
     /// file can request. At most [`ABSOLUTE_MAX_PIXELS`](tiepoint_input::ABSOLUTE_MAX_PIXELS).
     pub max_pixels: u64,
@@ -55,6 +57,7 @@ impl Default for FeatureOptions {
             cameras: CameraGrouping::default(),
             extractor: Arc::new(SiftExtractor::default()),
             timestamps: None,
+            max_size: None,
             max_pixels: DEFAULT_MAX_PIXELS,
         }
     }
@@ -64,12 +67,20 @@ impl FeatureOptions {
     /// The recipe of the stage: fingerprint of the photos, the options, and what was found of the
     /// cameras.
     fn recipe(&self, photos: &Photos, found: &FoundCameras) -> Result<Recipe, Error> {
-        let Self { calibration, calibration_files, cameras, extractor, timestamps, max_pixels } =
-            self;
+        let Self {
+            calibration,
+            calibration_files,
+            cameras,
+            extractor,
+            timestamps,
+            max_size,
+            max_pixels,
+        } = self;
         let files = calibration_files.iter().map(CalibrationSource::fingerprint);
         let files: Vec<String> = files.collect::<Result<_, _>>()?;
         let timestamps = timestamps.as_deref().map(hash_file).transpose()?;
         let mut texts = option_keys::feature_options(calibration, timestamps);
+        texts.push(option_keys::max_size_option(*max_size));
         texts.push(option_keys::pixel_limit_option(*max_pixels));
         texts.push(option_keys::cameras_option(*cameras));
         texts.push(option_keys::calibration_files_option(&files));
@@ -95,6 +106,19 @@ pub fn extract_features(
     redo: Option<Stage>,
     watch: Watch,
 ) -> Result<(), Error> {
+    extract_features_of(photos, workspace, options, redo, &|_, _| Ok(()), watch)
+}
+
+/// [`extract_features`] of photos that pass a check. It gets the scene without keypoints, before a
+/// photo is decoded.
+pub(crate) fn extract_features_of(
+    photos: &Photos,
+    workspace: &mut Workspace,
+    options: &FeatureOptions,
+    redo: Option<Stage>,
+    check: &dyn Fn(&Workspace, &Reconstruction) -> Result<(), Error>,
+    watch: Watch,
+) -> Result<(), Error> {
     let photos = &photos.with_max_pixels(options.max_pixels);
     let calibrations = Calibrations::read(&options.calibration_files, &photos.folder)?;
     let (usable, skipped) = photos.survey(options.cameras, &calibrations)?;
@@ -110,6 +134,7 @@ pub fn extract_features(
     let request = StageRequest { stage: Stage::Features, recipe, redo, inputs };
     let cameras = found.cameras;
     let survey = Survey { photos, usable, calibrations, cameras, times };
+    check(workspace, &survey.scene())?;
     workspace.run_stage(request, watch, |run| survey.extract(run, options, skipped))
 }
 
@@ -124,6 +149,21 @@ struct Survey<'a> {
 }
 
 impl Survey<'_> {
+    /// The cameras, and the images with their times, without keypoints.
+    fn scene(&self) -> Reconstruction {
+        let mut scene = Reconstruction::default();
+        let cameras: Vec<CameraId> =
+            self.cameras.iter().map(|camera| scene.add_camera(*camera)).collect();
+        let times: BTreeMap<&str, f64> = self.times.iter().copied().collect();
+        for photo in &self.usable {
+            let name = self.photos.name(photo);
+            let image = Image::new(name, cameras[photo.camera], Vec::new());
+            let id = scene.add_image(image);
+            scene.set_time(id, times.get(name).copied());
+        }
+        scene
+    }
+
     /// Extracts the features of the photos that have none yet.
     fn extract(
         &self,
@@ -145,7 +185,9 @@ impl Survey<'_> {
         self.announce(run, options, &notes, &skipped)?;
         let extractor = &*options.extractor;
         let folder = &self.photos.folder;
-        let work = |(_, photo): &(ImageId, &Photo)| extract_photo(extractor, folder, photo.index);
+        let most = options.max_size;
+        let work =
+            |(_, photo): &(ImageId, &Photo)| extract_photo(extractor, folder, photo.index, most);
         let bytes = |(_, photo): &(ImageId, &Photo)| memory_of(extractor, &photo.info);
         let take = |(id, photo): &(ImageId, &Photo), found: Result<Features, Error>| {
             let image = self.photos.name(photo);

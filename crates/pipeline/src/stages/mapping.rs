@@ -39,6 +39,7 @@ use crate::workspace::database_scene::read_scene;
 use crate::workspace::file_names::{GEOREFERENCE, SPARSE, is_rig_name, model_path, rig_name};
 use crate::workspace::folder::{POINTS, rigs_in};
 use crate::workspace::format;
+use crate::workspace::image_names::stream_of;
 use crate::workspace::model_output::{model_names, stage_with_sidecar};
 use crate::workspace::option_names;
 use crate::workspace::records::Recipe;
@@ -238,20 +239,12 @@ impl<'a> MapRequest<'a> {
 
     /// Checks that what is asked for can be estimated from this input.
     fn check(&self, workspace: &Workspace, input: &MapInput) -> Result<(), Error> {
-        let MapInput { scene, graph, known_rigs, .. } = input;
+        let MapInput { scene, graph, .. } = input;
         if graph.pairs().is_empty() {
             let required = VerifyOptions::default().min_num_inliers;
             return Err(no_overlap(workspace, required)?);
         }
-        match self.options.rig {
-            RigMode::Off | RigMode::Auto => {}
-            _ if known_rigs.is_some() => {}
-            mode => require_synchronous_images(workspace, scene, mode)?,
-        }
-        if self.options.readout.is_some() && !is_timed(scene) {
-            return Err(Error::NoTimedSequence { path: workspace.root().to_owned() });
-        }
-        Ok(())
+        check_times(workspace, scene, self.given)
     }
 
     /// Maps, sets scale and frame, and colours the points.
@@ -288,6 +281,7 @@ impl<'a> MapRequest<'a> {
         let largest = models.first().map(|model| positions.align(model, seed));
         if let Some(Ok(largest)) = largest
             && self.given.baseline_m.is_none()
+            && positions.tell_more_than(&largest)
         {
             run.emit(&Event::Noted { what: "mapping once more, with the positions" })?;
             let mut term = positions.term(&largest, seed);
@@ -628,6 +622,28 @@ pub fn named_event<'a>(event: &sfm::Event, name: &dyn Fn(ImageId) -> &'a str) ->
     })
 }
 
+/// Checks that the cameras and the capture times suffice for what is asked for. The images need no
+/// keypoints.
+///
+/// # Errors
+///
+/// [`Error::NoSynchronousImages`], [`Error::NoTimedSequence`].
+pub(crate) fn check_times(
+    workspace: &Workspace,
+    scene: &Reconstruction,
+    options: &MapOptions,
+) -> Result<(), Error> {
+    match options.mapper.rig {
+        RigMode::Off | RigMode::Auto => {}
+        _ if options.rig_calibration.is_some() => {}
+        mode => require_synchronous_images(workspace, scene, mode)?,
+    }
+    if options.mapper.readout.is_some() && !is_timed(scene) {
+        return Err(Error::NoTimedSequence { path: workspace.root().to_owned() });
+    }
+    Ok(())
+}
+
 /// Checks that a rig constraint has something to constrain: two cameras with two pairs of
 /// synchronous images, or, except for `paper`, times of all images of two cameras, whose clocks
 /// need not be synchronised.
@@ -646,8 +662,13 @@ fn require_synchronous_images(
     if has_times || rig_pairs(scene).iter().any(|rig| rig.pairs.len() >= 2) {
         return Ok(());
     }
-    let cameras = rig_candidates(scene).len();
-    Err(Error::NoSynchronousImages { path: workspace.root().to_owned(), cameras })
+    let path = workspace.root().to_owned();
+    let candidates = rig_candidates(scene);
+    let mut names = candidates.keys().map(|camera| stream_of(scene, *camera));
+    match (names.next(), candidates.len()) {
+        (Some(camera), 1) => Err(Error::OneCamera { camera }),
+        (_, cameras) => Err(Error::NoSynchronousImages { path, cameras }),
+    }
 }
 
 /// Whether a camera has enough images with times for the interpolation of its motion.
@@ -756,6 +777,7 @@ mod tests {
                 split: None,
                 error_off_px: 1.0,
                 error_px: 1.0,
+                limit: None,
             }),
             reconstruction: model,
             calibration_evidence: BTreeMap::new(),

@@ -23,8 +23,8 @@ use tiepoint_sfm::two_view::VerifyOptions;
 use crate::stages::dense::options::DenseOptions;
 use crate::workspace::option_names::{
     CALIBRATION_KEY, CALIBRATION_SIGMA_KEY, CAMERAS_KEY, DATABASE, EXTRACTOR, FOCAL_PRIOR,
-    FOUND_PAIRS, INTRINSICS, MATCHER, MAX_PIXELS_KEY, NONE, PAIRS, POSITION_PRIORS_KEY,
-    REFINE_EXTRINSICS_KEY, RIG_CALIBRATION_KEY,
+    FOUND_PAIRS, INTRINSICS, MATCHER, MAX_PIXELS_KEY, MAX_SIZE_KEY, NONE, PAIRS,
+    POSITION_PRIORS_KEY, REFINE_EXTRINSICS_KEY, RIG_CALIBRATION_KEY,
 };
 
 /// Keys with their values.
@@ -66,6 +66,11 @@ fn method_options(
     let options = options.into_iter();
     std::iter::once((key.to_owned(), name.to_owned()))
         .chain(options.map(move |(key, value)| (format!("{prefix}.{key}"), value)))
+}
+
+/// The larger side that photos are reduced to, an option of the feature stage.
+pub(crate) fn max_size_option(max_size: Option<u32>) -> (&'static str, String) {
+    (MAX_SIZE_KEY, or_none(max_size.map(|most| most.to_string())))
 }
 
 /// The limit on pixels, an option of the feature stage.

@@ -236,6 +236,18 @@ impl ScenePositions {
         align(&mapped.reconstruction, &self.measured, seed)
     }
 
+    /// Whether the path of the model deviates from the positions by more than their stated
+    /// deviations: then they may correct it. Those that state none may be as wrong as they deviate.
+    pub(crate) fn tell_more_than(&self, largest: &PositionAlignment) -> bool {
+        let stated: Option<Vec<f64>> = self
+            .measured
+            .iter()
+            .map(|one| one.sigmas_m.map(|[horizontal, _]| horizontal))
+            .collect();
+        let usual = stated.and_then(|mut stated| median(&mut stated));
+        usual.is_some_and(|usual| largest.sigmas_m[0] > usual)
+    }
+
     /// The term of those that are not held out.
     pub(crate) fn term(&self, largest: &PositionAlignment, seed: u64) -> PositionTerm {
         PositionTerm::new(&held_out(&self.measured).0, largest.sigmas_m, seed)

@@ -3,9 +3,9 @@ use std::path::{Path, PathBuf};
 
 use crate::stages::dense::dense;
 use crate::stages::dense::options::DenseOptions;
-use crate::stages::features::{FeatureOptions, extract_features};
+use crate::stages::features::{FeatureOptions, extract_features_of};
 use crate::stages::foreign_database::import_features;
-use crate::stages::mapping::{MapOptions, map};
+use crate::stages::mapping::{MapOptions, check_times, map};
 use crate::stages::matching::{MatchOptions, match_images};
 use crate::stages::video::{OpenedInput, open_input};
 use crate::{Error, Report, Stage, Watch, Workspace};
@@ -38,8 +38,9 @@ pub struct Options {
 ///
 /// # Errors
 ///
-/// Those of [`open_input`], [`extract_features`], [`import_features`], [`match_images`], [`map`]
-/// and [`dense`].
+/// Those of [`open_input`], [`extract_features`](crate::stages::extract_features),
+/// [`import_features`], [`match_images`], [`map`] and [`dense`]. What mapping cannot do with the
+/// cameras and times of the photos is refused before features.
 pub fn reconstruct(
     inputs: &[PathBuf],
     workspace: &Path,
@@ -56,7 +57,14 @@ pub fn reconstruct(
         open_input(inputs, masks, workspace, every, options.redo, watch)?;
     let mut features = options.features.clone();
     features.timestamps = features.timestamps.or(timestamps);
-    extract_features(&photos, &mut workspace, &features, options.redo, watch)?;
+    // What cannot be mapped as asked for is refused before hours of matching. An input model may
+    // have further cameras.
+    let mapping = &options.mapping;
+    let check = |workspace: &Workspace, scene: &_| match mapping.input_model {
+        Some(_) => Ok(()),
+        None => check_times(workspace, scene, mapping),
+    };
+    extract_features_of(&photos, &mut workspace, &features, options.redo, &check, watch)?;
     finish(workspace, options, watch)
 }
 

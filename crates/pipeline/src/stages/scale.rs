@@ -208,6 +208,7 @@ mod tests {
             split: None,
             error_off_px: 1.0,
             error_px: 1.0,
+            limit: None,
         };
         let mut models = [MappedModel {
             reconstruction: model.clone(),

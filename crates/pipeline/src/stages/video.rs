@@ -72,8 +72,18 @@ pub fn open_input(
     let files = videos(inputs)?;
     if files.is_empty() {
         // In this order: no workspace is created for an invalid input.
-        let photos = Photos::open(inputs, masks)?;
-        return Ok(OpenedInput { photos, workspace: Workspace::create(root)?, timestamps: None });
+        let mut photos = Photos::open(inputs, masks)?;
+        let workspace = Workspace::create(root)?;
+        if every.is_some() {
+            let note = "`features.every` selects frames of videos; of photos all are taken";
+            photos.notes.push(note.to_owned());
+        }
+        let is_root = |input: &PathBuf| input.canonicalize().ok() == root.canonicalize().ok();
+        if inputs.iter().any(is_root) {
+            let note = format!("{} has photos, and gets the results, too", root.display());
+            photos.notes.push(note);
+        }
+        return Ok(OpenedInput { photos, workspace, timestamps: None });
     }
     let recordings = with_unique_names(recordings(&files)?)?;
     let videos = recordings

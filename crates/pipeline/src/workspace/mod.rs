@@ -18,6 +18,7 @@ pub(crate) mod rig_report;
 pub(crate) mod sidecar;
 pub(crate) mod stage_run;
 pub(crate) mod unregistered;
+pub(crate) mod verdict;
 pub(crate) mod warning;
 
 pub use database_scene::read_scene;
@@ -35,4 +36,5 @@ pub use report::{
 pub use rig_file::{ConstraintKind, RigCamera, RigClock, RigClockState, RigFile};
 pub use rig_report::{ExtrinsicsReport, PaperReport, RigCameraReport, RigReport, SplitReport};
 pub use unregistered::{NearestImage, Reason, UnregisteredImage, why_unregistered};
+pub use verdict::verdict;
 pub use warning::{ModelGap, ScaledImage, Warning};

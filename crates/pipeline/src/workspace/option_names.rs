@@ -13,6 +13,8 @@ pub(crate) const INTRINSICS: &str = "features.intrinsics";
 
 /// Key of the initial focal length.
 pub(crate) const FOCAL_PRIOR: &str = "features.focal_prior";
+/// Key of the larger side that photos are reduced to, in pixels.
+pub(crate) const MAX_SIZE_KEY: &str = "features.max_size";
 /// Key of the limit on the pixels of a photo, in millions.
 pub(crate) const MAX_PIXELS_KEY: &str = "features.max_megapixels";
 

@@ -8,6 +8,7 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 use tiepoint_sfm::geometry::Rigid3;
 use tiepoint_sfm::geometry::nalgebra::{Quaternion, UnitQuaternion, Vector3};
+use tiepoint_sfm::rig::Clock;
 use tiepoint_sfm::rigs::{CalibratedCamera, CalibratedRig, ClockState, RigConstraint};
 use tiepoint_sfm::scene::Reconstruction;
 
@@ -107,6 +108,16 @@ impl From<ClockState> for RigClockState {
     }
 }
 
+impl From<RigClockState> for ClockState {
+    fn from(state: RigClockState) -> Self {
+        match state {
+            RigClockState::Synchronised => Self::Synchronised,
+            RigClockState::Estimated => Self::Estimated,
+            RigClockState::Unobservable => Self::Unobservable,
+        }
+    }
+}
+
 /// Time of the reference camera = time + offset + drift (time − pivot).
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(expecting = "an object that describes a camera's clock")]
@@ -126,6 +137,11 @@ pub struct RigClock {
 }
 
 impl RigFile {
+    /// Whether it has a camera of this name.
+    pub(crate) fn has_camera(&self, name: &str) -> bool {
+        self.reference == name || self.cameras.iter().any(|camera| camera.name == name)
+    }
+
     /// Checks what was read of a file at `path`.
     ///
     /// # Errors
@@ -166,6 +182,14 @@ impl RigFile {
                 .map(|pair| [name(pair.reference), name(pair.other)])
                 .collect(),
         })
+    }
+}
+
+impl RigClock {
+    /// The clock itself.
+    pub(crate) fn clock(&self) -> Clock {
+        let Self { offset_s, drift_ppm, pivot_s, .. } = *self;
+        Clock { offset_s, drift: 1e-6 * drift_ppm, pivot_s }
     }
 }
 

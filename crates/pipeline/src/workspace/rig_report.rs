@@ -3,7 +3,8 @@
 use serde::{Deserialize, Serialize};
 use tiepoint_sfm::rig::{RelativePose, RelativePoseStatistics, paper, relative_pose_statistics};
 use tiepoint_sfm::rigs::{
-    CalibratedCamera, CalibratedRig, RigConstraint, RigPair, RigPairs, relative_poses, rig_pairs,
+    CalibratedCamera, CalibratedRig, ConstraintLimit, RigConstraint, RigPair, RigPairs,
+    relative_poses, rig_pairs,
 };
 use tiepoint_sfm::scene::{CameraId, ImagePair, Reconstruction};
 use tiepoint_sfm::{MappedModel, RigMode};
@@ -201,7 +202,7 @@ fn extrinsics_report(
     model: &Reconstruction,
     rig: &CalibratedRig,
 ) -> ExtrinsicsReport {
-    let CalibratedRig { constraint, error_off_px, error_px, .. } = *rig;
+    let CalibratedRig { constraint, error_off_px, error_px, limit, .. } = *rig;
     let name = |image| model.image(image).name.clone();
     let sigmas = match constraint {
         Some(RigConstraint::Soft { sigma_translation, sigma_rotation_rad, .. }) => {
@@ -217,9 +218,7 @@ fn extrinsics_report(
         (RigMode::Auto, Some(RigConstraint::Rigid)) => {
             format!("exact extrinsics fit held-out tracks as well as weaker ones: {errors}")
         }
-        (_, Some(RigConstraint::Soft { .. })) => {
-            format!("smaller sigmas would increase the error of held-out tracks: {errors}")
-        }
+        (_, Some(RigConstraint::Soft { .. })) => soft_reason(limit, &errors),
         _ => format!("as asked for; error of held-out tracks {errors}"),
     };
     ExtrinsicsReport {
@@ -240,6 +239,32 @@ fn extrinsics_report(
         }),
         // `bad_pairs` of this report has them.
         rig: RigFile::new(model, rig).map(|file| RigFile { bad_pairs: Vec::new(), ..file }),
+    }
+}
+
+/// Why a constraint is soft, and not tighter.
+fn soft_reason(limit: Option<ConstraintLimit>, errors: &str) -> String {
+    let held_out = format!("error of held-out tracks {errors}");
+    match limit {
+        Some(ConstraintLimit::HeldOutError { error_px }) => format!(
+            "with smaller sigmas the error of held-out tracks would be {error_px:.3} px: {errors}"
+        ),
+        Some(ConstraintLimit::Residuals) => {
+            format!("the relative poses scatter more than smaller sigmas allow; {held_out}")
+        }
+        Some(ConstraintLimit::FlexibleRotation) => format!(
+            "the images contradict a smaller sigma of rotation, as if the mount moved; {held_out}"
+        ),
+        Some(ConstraintLimit::Unsynchronised) => format!(
+            "the cameras are not triggered together, as rigid frames would need; {held_out}"
+        ),
+        Some(ConstraintLimit::RigidIsWorse { error_px }) => format!(
+            "with exact extrinsics the error of held-out tracks would be {error_px:.3} px: {errors}"
+        ),
+        Some(ConstraintLimit::Smallest) => {
+            format!("the sigmas are the smallest, as good as exact extrinsics; {held_out}")
+        }
+        None => held_out,
     }
 }
 
@@ -273,4 +298,33 @@ fn paper_report(
         sigma_rotation_deg: sigmas.rotation_rad.to_degrees(),
         bad_pairs,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_limit_has_its_own_reason() {
+        let errors = "0.520 px without and 0.519 px with it";
+        let limits = [
+            ConstraintLimit::HeldOutError { error_px: 0.61 },
+            ConstraintLimit::Residuals,
+            ConstraintLimit::FlexibleRotation,
+            ConstraintLimit::Unsynchronised,
+            ConstraintLimit::RigidIsWorse { error_px: 0.58 },
+            ConstraintLimit::Smallest,
+        ];
+        let reasons: Vec<String> =
+            limits.iter().map(|limit| soft_reason(Some(*limit), errors)).collect();
+        assert!(reasons.iter().all(|reason| reason.ends_with(errors)), "{reasons:#?}");
+        assert!(reasons[0].contains("0.610 px") && reasons[4].contains("0.580 px"), "{reasons:#?}");
+        // Only two say that the error would increase: it decreased in the others.
+        let increases = |reason: &&String| reason.contains("would be");
+        assert_eq!(reasons.iter().filter(increases).count(), 2, "{reasons:#?}");
+        let mut distinct = reasons.clone();
+        distinct.sort_unstable();
+        distinct.dedup();
+        assert_eq!(distinct.len(), limits.len());
+    }
 }

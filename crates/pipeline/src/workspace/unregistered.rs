@@ -69,6 +69,14 @@ pub enum Reason {
         /// Number of those that agree.
         inliers: usize,
     },
+    /// Enough 2D-3D correspondences agree on a pose that the camera cannot have reached from the
+    /// images before and after.
+    OutOfReach {
+        /// Number of 2D-3D correspondences.
+        correspondences: usize,
+        /// Number of those that agree.
+        inliers: usize,
+    },
 }
 
 /// An image of a model that another image matches.
@@ -98,6 +106,9 @@ impl From<UnregisteredReason> for Reason {
             UnregisteredReason::Contradiction { correspondences, inliers } => {
                 Self::Contradiction { correspondences, inliers }
             }
+            UnregisteredReason::OutOfReach { correspondences, inliers } => {
+                Self::OutOfReach { correspondences, inliers }
+            }
         }
     }
 }
@@ -118,6 +129,10 @@ impl Reason {
             Self::Contradiction { .. } => {
                 "with a pose that other images contradict, as of things that look alike or move"
             }
+            Self::OutOfReach { .. } => {
+                "with a pose out of reach of the camera between the images before and after, as \
+                 where places look alike, or times are wrong"
+            }
         }
     }
 
@@ -134,7 +149,8 @@ impl Reason {
                 Some(format!("{inliers} of {correspondences}, {required} needed"))
             }
             Self::Late { correspondences, inliers }
-            | Self::Contradiction { correspondences, inliers } => {
+            | Self::Contradiction { correspondences, inliers }
+            | Self::OutOfReach { correspondences, inliers } => {
                 Some(format!("{inliers} of {correspondences}"))
             }
         }
@@ -142,6 +158,20 @@ impl Reason {
 }
 
 impl UnregisteredImage {
+    /// Why it has no pose in the largest model, in a few words.
+    pub fn why(&self) -> String {
+        let nearest = self.nearest.as_ref().map(|NearestImage { image, matches }| {
+            format!("most matches, {matches}, with {image} of {}", self.model)
+        });
+        let reason = Some(self.reason.of_group().to_owned());
+        let facts: Vec<String> =
+            [reason, self.reason.numbers(), nearest].into_iter().flatten().collect();
+        match &self.posed_in {
+            Some(other) => format!("has a pose in {other}"),
+            None => facts.join("; "),
+        }
+    }
+
     fn text(&self) -> String {
         let nearest = self.nearest.as_ref().map(|NearestImage { image, matches }| {
             format!("most matches, {matches}, with {image} of {}", self.model)
@@ -227,31 +257,32 @@ mod tests {
     }
 
     /// One of each reason.
-    const REASONS: [Reason; 6] = [
+    const REASONS: [Reason; 7] = [
         Reason::NoPair,
         Reason::NoPairWithModel { pairs: 2 },
         Reason::FewPoints { correspondences: 3, required: 30 },
         Reason::FewInliers { correspondences: 40, inliers: 9, required: 30 },
         Reason::Late { correspondences: 50, inliers: 45 },
         Reason::Contradiction { correspondences: 50, inliers: 44 },
+        Reason::OutOfReach { correspondences: 50, inliers: 43 },
     ];
 
     #[test]
     fn many_images_are_few_lines() {
         let of_reasons = |index: usize| image(index, None, REASONS[index % REASONS.len()]);
-        let mut images: Vec<UnregisteredImage> = (0..600).map(of_reasons).collect();
-        images.push(image(600, Some("sparse/1"), REASONS[2]));
-        images.push(image(601, Some("sparse/1"), REASONS[2]));
-        images.push(image(602, Some("sparse/2"), REASONS[2]));
+        let mut images: Vec<UnregisteredImage> = (0..700).map(of_reasons).collect();
+        images.push(image(700, Some("sparse/1"), REASONS[2]));
+        images.push(image(701, Some("sparse/1"), REASONS[2]));
+        images.push(image(702, Some("sparse/2"), REASONS[2]));
         let lines = why_unregistered(&images);
         assert_eq!(lines.len(), 2 + REASONS.len(), "{lines:#?}");
         assert_eq!(lines[0], "2 in sparse/1, 1 in sparse/2");
         for line in &lines[1..=REASONS.len()] {
             assert!(line.starts_with("100 with") && line.ends_with(" and 96 more"), "{line}");
         }
-        let shown = "596.jpg (3 points, 30 needed; most matches, 596, with a.jpg of sparse/0)";
+        let shown = "695.jpg (3 points, 30 needed; most matches, 695, with a.jpg of sparse/0)";
         assert!(lines[3].contains(shown), "{}", lines[3]);
-        assert_eq!(lines[1 + REASONS.len()], "photos between 599.jpg and a.jpg would help most");
+        assert_eq!(lines[1 + REASONS.len()], "photos between 699.jpg and a.jpg would help most");
         assert_eq!(why_unregistered(&[]), [""; 0]);
     }
 

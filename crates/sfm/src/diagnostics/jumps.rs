@@ -3,7 +3,7 @@
 use tiepoint_geometry::numeric::median;
 use tiepoint_scene::{CameraId, ImageId, Reconstruction};
 
-use crate::timeline::{posed_in_time, usual_speed};
+use crate::timeline::{posed_in_time, usual};
 
 /// Smallest distance from the place between the neighbours, relative to the usual step (the 90 %
 /// quantile, so that long stops do not shorten it). A vehicle that stops from one image to the next
@@ -37,7 +37,7 @@ fn jumps_of(model: &Reconstruction, camera: CameraId) -> Vec<Jump> {
     let centres: Vec<_> = posed.iter().map(|(.., pose)| pose.origin_in_a()).collect();
     let steps: Vec<f64> = centres.windows(2).map(|c| (c[1] - c[0]).norm()).collect();
     let mut intervals: Vec<f64> = posed.windows(2).map(|p| p[1].0 - p[0].0).collect();
-    let (Some(step), Some(interval)) = (usual_speed(steps), median(&mut intervals)) else {
+    let (Some(step), Some(interval)) = (usual(steps), median(&mut intervals)) else {
         return Vec::new();
     };
     if step <= 0.0 || interval <= 0.0 {

@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use tiepoint_geometry::{RansacOptions, Rigid3, Rng, estimate};
 use tiepoint_scene::{CorrespondenceGraph, ImageId, ImagePair, Reconstruction};
 
-use crate::register::{RegisterOptions, candidates};
+use crate::register::{RegisterOptions, Timelines, candidates};
 
 /// Why an image has no pose in a model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -45,6 +45,14 @@ pub enum UnregisteredReason {
     /// Enough 2D-3D correspondences agree on a pose, which most verified matches with images of the
     /// model contradict.
     Contradiction {
+        /// Number of 2D-3D correspondences.
+        correspondences: usize,
+        /// Number of those that agree.
+        inliers: usize,
+    },
+    /// Enough 2D-3D correspondences agree on a pose that the camera cannot have reached from the
+    /// images before and after.
+    OutOfReach {
         /// Number of 2D-3D correspondences.
         correspondences: usize,
         /// Number of those that agree.
@@ -136,9 +144,14 @@ fn reason_of_pose(
     match estimate::absolute_pose(&pixels, &points, intrinsics, &ransac) {
         Some(report) if report.num_inliers >= required => {
             let inliers = report.num_inliers;
-            match agrees(graph, model, image, &report.model, options.max_error_px) {
-                true => UnregisteredReason::Late { correspondences, inliers },
-                false => UnregisteredReason::Contradiction { correspondences, inliers },
+            let timelines = Timelines::new(model);
+            let motion = timelines.expected_motion(model, image);
+            if motion.is_some_and(|motion| motion.contradicts(&report.model)) {
+                UnregisteredReason::OutOfReach { correspondences, inliers }
+            } else if agrees(graph, model, image, &report.model, options.max_error_px) {
+                UnregisteredReason::Late { correspondences, inliers }
+            } else {
+                UnregisteredReason::Contradiction { correspondences, inliers }
             }
         }
         report => {

@@ -11,7 +11,7 @@ use tiepoint_geometry::Rigid3;
 use tiepoint_geometry::nalgebra::Vector3;
 use tiepoint_scene::{CameraId, ImageId, Reconstruction};
 
-use crate::timeline::usual_speed;
+use crate::timeline::{is_rounded, usual};
 
 /// The usual speed is the 90 % quantile over this many steps before and after an image, because the
 /// scale of a long drive drifts until lens and shutter are estimated. With fewer than `MIN_STEPS`
@@ -22,6 +22,12 @@ const MIN_STEPS: usize = 10;
 /// distance travelled at the usual speed. An immediate reversal gives 2. Windows 8.7 m apart moved
 /// a camera that makes 1 m a frame by 8.7 times, next to a wrongly registered frame by 4.
 const MAX_DEVIATION: f64 = 2.0;
+/// A deviation of this fraction is plausible for any camera. Half and double change nothing on four
+/// rendered streets.
+const MIN_DEVIATION: f64 = 0.5;
+/// Between both, the limit is the deviation that so many times the usual acceleration causes. Half
+/// changes the error of one of the four streets from 14.4 to 13.6 cm, double changes nothing.
+const MAX_ACCELERATIONS: f64 = 3.0;
 /// Number of images before and after an image that are searched for a registered one.
 const MAX_SEARCH: usize = 20;
 /// Number of images before and after an image that are checked for a jump.
@@ -31,6 +37,17 @@ const MAX_NEIGHBOURS: usize = 3;
 pub(crate) struct Timelines {
     cameras: BTreeMap<CameraId, Vec<(f64, ImageId)>>,
     places: BTreeMap<ImageId, usize>,
+    /// Cameras whose times were rounded to seconds, which tell an order but no motion.
+    rounded: BTreeSet<CameraId>,
+}
+
+/// The usual motion of a camera around an image.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct UsualMotion {
+    /// Units of the model a second.
+    speed: f64,
+    /// Units of the model a square second.
+    acceleration: f64,
 }
 
 impl Timelines {
@@ -46,7 +63,12 @@ impl Timelines {
             images.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
             places.extend(images.iter().enumerate().map(|(place, (_, image))| (*image, place)));
         }
-        Self { cameras, places }
+        let rounded = cameras
+            .iter()
+            .filter(|(_, images)| is_rounded(images.iter().map(|(time_s, _)| *time_s)))
+            .map(|(camera, _)| *camera)
+            .collect();
+        Self { cameras, places, rounded }
     }
 
     /// Returns the images of the same camera before and after an image, nearest first.
@@ -76,45 +98,99 @@ impl Timelines {
         })
     }
 
-    /// Returns the usual speed of the camera around an image, in units of the model a second;
-    /// `None` with too few registered neighbours.
-    pub(crate) fn usual_speed(&self, model: &Reconstruction, image: ImageId) -> Option<f64> {
-        let (images, place) =
-            (self.cameras.get(&model.image(image).camera)?, *self.places.get(&image)?);
+    /// Returns the usual motion of the camera around an image; `None` with too few registered
+    /// neighbours, or if the times tell no motion.
+    fn usual_motion(&self, model: &Reconstruction, image: ImageId) -> Option<UsualMotion> {
+        let camera = model.image(image).camera;
+        if self.rounded.contains(&camera) {
+            return None;
+        }
+        let (images, place) = (self.cameras.get(&camera)?, *self.places.get(&image)?);
         let around = place.saturating_sub(KNOWN_STEPS)..images.len().min(place + KNOWN_STEPS);
         let speed = |pair: &[(f64, ImageId)]| Some(velocity(model, &pair[0], &pair[1])?.norm());
-        let speeds: Vec<f64> = images[around].windows(2).filter_map(speed).collect();
-        if speeds.len() < MIN_STEPS { None } else { usual_speed(speeds) }
+        let speeds: Vec<f64> = images[around.clone()].windows(2).filter_map(speed).collect();
+        if speeds.len() < MIN_STEPS {
+            return None;
+        }
+        let acceleration = |three: &[(f64, ImageId)]| {
+            let before = velocity(model, &three[0], &three[1])?;
+            let after = velocity(model, &three[1], &three[2])?;
+            Some(2.0 * (after - before).norm() / (three[2].0 - three[0].0))
+        };
+        let accelerations: Vec<f64> = images[around].windows(3).filter_map(acceleration).collect();
+        // Without three images in a row, any acceleration is usual.
+        let acceleration =
+            if accelerations.len() + 1 < MIN_STEPS { f64::INFINITY } else { usual(accelerations)? };
+        Some(UsualMotion { speed: usual(speeds)?, acceleration })
     }
 
-    /// Whether a pose contradicts the motion of the neighbouring images at this usual speed.
-    pub(crate) fn contradicts_motion(
-        &self,
-        model: &Reconstruction,
+    /// What the motion of the camera tells of the pose of an image; `None` as for
+    /// [`Timelines::usual_motion`].
+    pub(crate) fn expected_motion<'a>(
+        &'a self,
+        model: &'a Reconstruction,
         image: ImageId,
-        cam_from_world: &Rigid3,
-        usual_speed: f64,
-    ) -> bool {
-        let Some(sides) = self.sides(model, image) else { return false };
-        let Some(time_s) = model.image(image).time_s else { return false };
+    ) -> Option<ExpectedMotion<'a>> {
+        let usual = self.usual_motion(model, image)?;
+        Some(ExpectedMotion {
+            model,
+            usual,
+            time_s: model.image(image).time_s?,
+            sides: self.sides(model, image)?,
+        })
+    }
+}
+
+/// The motion of the images before and after an image.
+pub(crate) struct ExpectedMotion<'a> {
+    model: &'a Reconstruction,
+    usual: UsualMotion,
+    time_s: f64,
+    /// The images before and after, nearest first.
+    sides: [Vec<&'a (f64, ImageId)>; 2],
+}
+
+impl ExpectedMotion<'_> {
+    /// Whether a pose contradicts the motion.
+    pub(crate) fn contradicts(&self, cam_from_world: &Rigid3) -> bool {
         let centre = cam_from_world.origin_in_a();
-        let is_implausible = |side: &[&(f64, ImageId)], step: usize| {
-            let near = side[step];
-            let (elapsed_s, Some(from)) = (time_s - near.0, centre_of(model, near.1)) else {
+        let contradicts = |side: &[&(f64, ImageId)], step: usize| {
+            let (near, beyond) = (side[step], side.get(step + 1));
+            let (elapsed_s, Some(from)) = (self.time_s - near.0, centre_of(self.model, near.1))
+            else {
                 return false;
             };
-            // Without a second registered image on that side, the velocity is zero.
-            let velocity_there = side
-                .get(step + 1)
-                .and_then(|beyond| velocity(model, beyond, near))
-                .unwrap_or_default();
-            elapsed_s != 0.0
-                && (centre - from - velocity_there * elapsed_s).norm()
-                    > MAX_DEVIATION * usual_speed * elapsed_s.abs()
+            let reach = self.usual.speed * elapsed_s.abs();
+            let known = beyond.and_then(|one| Some((one.0, velocity(self.model, one, near)?)));
+            let (velocity, limit) = match known {
+                Some((beyond_s, velocity)) => {
+                    let span_s = (self.time_s - beyond_s).abs();
+                    let change = self.usual.acceleration * elapsed_s.abs() * span_s / 2.0;
+                    let least = MIN_DEVIATION * reach;
+                    (velocity, (MAX_ACCELERATIONS * change).max(least).min(MAX_DEVIATION * reach))
+                }
+                // Without a second registered image on that side, the velocity is zero.
+                None => (Vector3::zeros(), MAX_DEVIATION * reach),
+            };
+            elapsed_s != 0.0 && (centre - from - velocity * elapsed_s).norm() > limit
         };
-        sides
+        self.sides
             .iter()
-            .any(|side| (0..side.len().min(MAX_NEIGHBOURS)).any(|step| is_implausible(side, step)))
+            .any(|side| (0..side.len().min(MAX_NEIGHBOURS)).any(|step| contradicts(side, step)))
+    }
+
+    /// The centre at constant velocity from the nearest two images in a row with poses, the next of
+    /// them within [`MAX_NEIGHBOURS`].
+    pub(crate) fn centre(&self) -> Option<Vector3<f64>> {
+        let from_side = |side: &Vec<&(f64, ImageId)>| {
+            side.windows(2).take(MAX_NEIGHBOURS).find_map(|two| {
+                let elapsed_s = self.time_s - two[0].0;
+                let velocity = velocity(self.model, two[1], two[0])?;
+                Some((elapsed_s, centre_of(self.model, two[0].1)? + velocity * elapsed_s))
+            })
+        };
+        let both = self.sides.iter().filter_map(from_side);
+        both.min_by(|a, b| a.0.abs().total_cmp(&b.0.abs())).map(|(_, centre)| centre)
     }
 }
 
@@ -182,7 +258,7 @@ mod tests {
         images.iter().for_each(|&image| model.set_time(image, None));
         let timelines = Timelines::new(&model);
         assert!(!timelines.must_wait(&model, images[7], &images.iter().copied().collect()));
-        assert_eq!(timelines.usual_speed(&model, images[7]), None);
+        assert_eq!(timelines.usual_motion(&model, images[7]), None);
     }
 
     #[test]
@@ -190,29 +266,41 @@ mod tests {
         let last = MIN_STEPS + 1;
         let (model, images) = drive(last);
         let timelines = Timelines::new(&model);
-        let speed = timelines.usual_speed(&model, images[last]).expect("steps enough");
-        assert!((speed - 1.0).abs() < 1e-12);
-        let contradicts_motion = |x: f64| {
-            timelines.contradicts_motion(&model, images[last], &at(last as f64 + x), speed)
+        let expected = timelines.expected_motion(&model, images[last]).expect("steps enough");
+        let centre = expected.centre().expect("two images before have poses");
+        assert!((centre.x - last as f64).abs() < 1e-12, "{centre}");
+        let usual = expected.usual;
+        assert!((usual.speed - 1.0).abs() < 1e-12);
+        let contradicts_motion = |x: f64, acceleration: f64| {
+            let usual = UsualMotion { acceleration, ..usual };
+            let expected = timelines.expected_motion(&model, images[last]).expect("steps enough");
+            let expected = ExpectedMotion { usual, ..expected };
+            expected.contradicts(&at(last as f64 + x))
         };
-        // Stopping and reversing are plausible; larger deviations are not.
-        assert!(
-            !contradicts_motion(0.0)
-                && !contradicts_motion(-1.0)
-                && !contradicts_motion(-1.9)
-                && !contradicts_motion(1.0)
-        );
-        assert!(contradicts_motion(2.1) && contradicts_motion(-2.1));
+        // Of a camera that brakes and turns at will, stopping and reversing are plausible; larger
+        // deviations are not.
+        assert!([0.0, -1.0, -1.9, 1.0].iter().all(|x| !contradicts_motion(*x, 1.0)));
+        assert!(contradicts_motion(2.1, 1.0) && contradicts_motion(-2.1, 1.0));
+        // The images are at constant speed, up to the noise of their poses.
+        assert!(usual.acceleration < 1e-9);
+        assert!(!contradicts_motion(0.4, 0.0) && !contradicts_motion(-0.4, 0.0));
+        assert!(contradicts_motion(0.6, 0.0) && contradicts_motion(-0.6, 0.0));
+        assert!(!contradicts_motion(-0.8, 0.3) && contradicts_motion(-1.0, 0.3));
         // Equal times give no velocity.
-        let mut twice = model.clone();
-        twice.set_time(images[last], Some((last - 1) as f64));
-        assert!(!Timelines::new(&twice).contradicts_motion(
-            &twice,
-            images[last],
-            &at(last as f64),
-            speed
-        ));
+        let (mut twice, images) = drive(last + 1);
+        for (place, &image) in images.iter().enumerate() {
+            twice.set_time(image, Some(place as f64 + 0.5));
+        }
+        twice.set_time(images[last + 1], Some(last as f64 + 0.5));
+        let timelines = Timelines::new(&twice);
+        let expected = timelines.expected_motion(&twice, images[last + 1]).expect("steps enough");
+        assert!(!expected.contradicts(&at(last as f64)));
+        // Times that were rounded to seconds tell no motion.
+        for (place, &image) in images.iter().enumerate() {
+            twice.set_time(image, Some((place / 2) as f64));
+        }
+        assert!(Timelines::new(&twice).expected_motion(&twice, images[last + 1]).is_none());
         let (model, images) = drive(last - 1);
-        assert_eq!(Timelines::new(&model).usual_speed(&model, images[last]), None);
+        assert_eq!(Timelines::new(&model).usual_motion(&model, images[last]), None);
     }
 }

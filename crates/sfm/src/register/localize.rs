@@ -70,7 +70,7 @@ pub fn localize_image(
             options,
             Evidence::Usual,
             seed,
-            &|_| true,
+            None,
         );
         let Some(placement) = placement else { continue };
         let count = placement.inliers.len();

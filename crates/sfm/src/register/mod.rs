@@ -13,6 +13,7 @@ mod visibility;
 
 pub(crate) use absolute_pose::candidates;
 pub use absolute_pose::register_image;
+pub(crate) use continuity::Timelines;
 pub(crate) use evidence::Evidence;
 pub use localize::{Localization, QueryCamera, localize_image};
 pub(crate) use missing::contradicted;

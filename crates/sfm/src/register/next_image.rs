@@ -9,8 +9,8 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use rayon::prelude::*;
+use tiepoint_geometry::Rng;
 use tiepoint_geometry::numeric::median;
-use tiepoint_geometry::{Rigid3, Rng};
 use tiepoint_scene::{CorrespondenceGraph, ImageId, Reconstruction};
 
 use super::absolute_pose::{Placement, RegistrationUnit, estimate_placement};
@@ -197,10 +197,15 @@ impl NextBestView {
         }
         deferred_candidates.sort_by(|(a, one), (b, other)| b.total_cmp(a).then(one.cmp(other)));
         for (_, image) in deferred_candidates {
-            match self.estimate_pose(graph, model, image, options, evidence) {
-                Some(placement) => return Ok(placement),
-                None => failed.insert(image),
+            let Some(placement) = self.estimate_pose(graph, model, image, options, evidence) else {
+                failed.insert(image);
+                continue;
             };
+            let expected = self.neighbours_recall(graph, model, image, evidence);
+            let has_recall = placement.recall.unwrap_or(1.0) >= MIN_RELATIVE_RECALL * expected;
+            if placement.is_plausible || has_recall {
+                return Ok(placement);
+            }
         }
         Err(failed)
     }
@@ -216,16 +221,12 @@ impl NextBestView {
     ) -> Option<Placement> {
         let key = [u64::from(image.0), model.num_registered() as u64];
         let seed = Rng::stream(self.seed, &key).next_u64();
-        let speed = self.timelines.usual_speed(model, image);
-        let is_plausible = |pose: &Rigid3| {
-            speed.is_none_or(|speed| !self.timelines.contradicts_motion(model, image, pose, speed))
-        };
+        let motion = self.timelines.expected_motion(model, image);
         let view = self
             .frames
             .frame_of(model, image)
             .map_or(RegistrationUnit::Image(image), RegistrationUnit::Frame);
-        let placement =
-            estimate_placement(graph, model, &view, options, evidence, seed, &is_plausible);
+        let placement = estimate_placement(graph, model, &view, options, evidence, seed, motion);
         if placement.is_none() {
             *self.trials.entry(image).or_insert(0) += 1;
         }

@@ -37,7 +37,7 @@ use super::pairs::RigPair;
 use super::rematch::{Descriptors, rematch};
 use super::sensor_pair::{ClockState, SensorPair, sensor_pairs};
 use super::sigma_selection::{ConstrainedModel, SigmaSelection};
-use super::solution::{CalibratedCamera, CalibratedRig, SplitRepair};
+use super::solution::{CalibratedCamera, CalibratedRig, ConstraintLimit, SplitRepair};
 use crate::Error;
 use crate::options::RigMode;
 use crate::terms::reborrow;
@@ -99,6 +99,8 @@ struct ConstraintSearch {
     best: Option<ConstrainedModel>,
     /// Images of repaired splits that had no matches across cameras.
     split_images: BTreeSet<SplitImage>,
+    /// Why the constraint is not tighter.
+    limit: Option<ConstraintLimit>,
 }
 
 impl Context<'_> {
@@ -128,7 +130,12 @@ impl Context<'_> {
                 break;
             }
         }
-        let SigmaSelection { mut best, is_at_floor, split_images } = selection;
+        let SigmaSelection { mut best, is_at_floor, split_images, limit } = selection;
+        let mut limit = match (mode, is_at_floor) {
+            (RigMode::Rigid, _) | (RigMode::Auto, true) => Some(ConstraintLimit::Unsynchronised),
+            (_, true) => Some(ConstraintLimit::Smallest),
+            (_, false) => limit,
+        };
         let wants_rigid = mode == RigMode::Rigid || mode == RigMode::Auto && is_at_floor;
         if let Some(soft) =
             best.as_ref().filter(|soft| wants_rigid && soft.has_synchronised_sensors())
@@ -151,6 +158,9 @@ impl Context<'_> {
                     error_px,
                     sigmas: soft.sigmas,
                 });
+                limit = None;
+            } else {
+                limit = Some(ConstraintLimit::RigidIsWorse { error_px });
             }
         }
         Ok(Some(ConstraintSearch {
@@ -158,6 +168,7 @@ impl Context<'_> {
             error_off_px: comparison.error_off_px,
             best,
             split_images,
+            limit,
         }))
     }
 
@@ -168,7 +179,7 @@ impl Context<'_> {
         found: ConstraintSearch,
         split: Option<SplitRepair>,
     ) -> Result<CalibratedRig, Error> {
-        let ConstraintSearch { off, error_off_px, best, .. } = found;
+        let ConstraintSearch { off, error_off_px, best, limit, .. } = found;
         let (mut all_extrinsics, mut error_px) = (Vec::new(), error_off_px);
         match best {
             Some(constrained) => {
@@ -212,7 +223,7 @@ impl Context<'_> {
             });
         }
         let constraint = all_extrinsics.first().map(|extrinsics| extrinsics.constraint);
-        Ok(CalibratedRig { constraint, cameras, bad_pairs, split, error_off_px, error_px })
+        Ok(CalibratedRig { constraint, cameras, bad_pairs, split, error_off_px, error_px, limit })
     }
 
     /// Resets unobservable clocks to their time stamps and stores unobservable directions. Returns

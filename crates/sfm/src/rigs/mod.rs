@@ -33,5 +33,5 @@ pub use paper::{BaselineLink, BaselineTerm, LinkWeights, final_links, growing_li
 pub use rematch::Descriptors;
 pub use rigid::{RigidCamera, constrain_rigidly};
 pub use sensor_pair::{ClockState, ReferencePose, ReferencedImage, SensorPair, sensor_pairs};
-pub use solution::{CalibratedCamera, CalibratedRig, SplitRepair};
+pub use solution::{CalibratedCamera, CalibratedRig, ConstraintLimit, SplitRepair};
 pub use succession::successive_cameras;

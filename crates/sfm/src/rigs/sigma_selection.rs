@@ -12,6 +12,7 @@ use super::extrinsics_term::adjust_with_extrinsics;
 use super::gating::UnmatchedImages;
 use super::held_out::HeldOutComparison;
 use super::sensor_pair::{ClockState, SensorPair};
+use super::solution::ConstraintLimit;
 use crate::Error;
 use crate::options::RigMode;
 
@@ -72,6 +73,8 @@ pub(super) struct SigmaSelection {
     pub(super) best: Option<ConstrainedModel>,
     /// Whether `best` has the smallest standard deviations.
     pub(super) is_at_floor: bool,
+    /// Why it has no smaller ones, if it has not the smallest.
+    pub(super) limit: Option<ConstraintLimit>,
     /// Images of splits that were constrained without matches across cameras.
     pub(super) split_images: BTreeSet<SplitImage>,
 }
@@ -168,6 +171,9 @@ impl Context<'_> {
             );
             let is_mandatory = mode != RigMode::Auto && step == 0;
             if !is_mandatory && comparison.is_worse(error_px, tolerance) {
+                if selection.limit != Some(ConstraintLimit::Residuals) {
+                    selection.limit = Some(ConstraintLimit::HeldOutError { error_px });
+                }
                 break;
             }
             for extrinsics in &all_extrinsics {
@@ -181,6 +187,9 @@ impl Context<'_> {
             if constrained.residuals_consistent() == [true; 2] || is_mandatory {
                 selection.best = Some(constrained);
                 selection.is_at_floor = sigmas == SIGMA_FLOOR;
+                selection.limit = is_flexible.then_some(ConstraintLimit::FlexibleRotation);
+            } else {
+                selection.limit = Some(ConstraintLimit::Residuals);
             }
             *model = candidate;
             last = Some((error_px, sigmas.1));

@@ -23,6 +23,33 @@ pub struct CalibratedRig {
     pub error_off_px: f64,
     /// Error of the held-out tracks with the constraint, in pixels.
     pub error_px: f64,
+    /// With a soft constraint: why it is not tighter.
+    pub limit: Option<ConstraintLimit>,
+}
+
+/// Why a soft constraint has no smaller standard deviations, or is not rigid.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum ConstraintLimit {
+    /// The next smaller ones increase the error of the held-out tracks too much, to `error_px`.
+    HeldOutError {
+        /// In pixels.
+        error_px: f64,
+    },
+    /// The relative poses deviate by more than smaller ones allow.
+    Residuals,
+    /// Smaller ones of the rotation increase the error, or its residuals are larger than they
+    /// allow, as for a mount that moves.
+    FlexibleRotation,
+    /// Rigid frames need synchronised cameras, and no two are.
+    Unsynchronised,
+    /// They are the smallest, and a rigid rig increases the error of the held-out tracks too much,
+    /// to `error_px`.
+    RigidIsWorse {
+        /// In pixels.
+        error_px: f64,
+    },
+    /// They are the smallest, and [`crate::RigMode::Soft`] was asked for.
+    Smallest,
 }
 
 /// Calibration of a camera relative to the reference camera.

@@ -11,7 +11,7 @@ use tiepoint_rig::Trajectory;
 use tiepoint_scene::{CameraId, ImageId, Reconstruction};
 
 use super::readout::RollingShutter;
-use crate::timeline::{posed_in_time, usual_speed};
+use crate::timeline::{posed_in_time, usual};
 
 /// Maximum speed of a camera relative to its usual speed.
 const MAX_SPEED: f64 = 3.0;
@@ -45,7 +45,7 @@ fn motions(model: &Reconstruction) -> Vec<(ImageId, Motion)> {
             of_camera.push((id, Motion { velocity, angular_velocity }));
         }
         let speed = |(_, motion): &(ImageId, Motion)| motion.velocity.norm();
-        let usual_speed = usual_speed(of_camera.iter().map(speed).collect()).unwrap_or(0.0);
+        let usual_speed = usual(of_camera.iter().map(speed).collect()).unwrap_or(0.0);
         motions.extend(
             of_camera.into_iter().filter(|motion| speed(motion) <= MAX_SPEED * usual_speed),
         );

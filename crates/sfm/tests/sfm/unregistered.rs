@@ -165,3 +165,25 @@ fn the_pair_with_most_matches_nearly_connects_two_models() {
     assert_eq!(nearest_pair(&graph(), &other, &one), Some(([b, a], FEW as usize + 1)));
     assert_eq!(nearest_pair(&graph(), &one, &one), None);
 }
+
+/// The matches place an image two metres from the one that the camera made a tenth of a second
+/// before, at a speed of two metres a second.
+#[test]
+fn an_image_out_of_reach_of_its_camera_has_that_reason() {
+    const NUM_BEFORE: u32 = 12;
+    let mut model = model(MODEL);
+    let camera = model.image(ImageId(LATE)).camera;
+    model.set_time(ImageId(LATE), Some(0.0));
+    for before in 1..=NUM_BEFORE {
+        let image = model.add_image(Image::new(format!("before {before}"), camera, Vec::new()));
+        model.set_time(image, Some(-0.1 * f64::from(before)));
+        model.register(image, pose(LATE + 9 + before));
+    }
+    let found = unregistered_images(&graph(), &[&model], &RegisterOptions::default(), 0);
+    let late = found.iter().find(|found| found.image == ImageId(LATE)).unwrap();
+    let enough = ENOUGH as usize;
+    assert_eq!(
+        late.reason,
+        UnregisteredReason::OutOfReach { correspondences: enough, inliers: enough }
+    );
+}

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use tiepoint_colmap::{ExtractOptions, SharedCamera, extract};
+use tiepoint_colmap::{ExtractOptions, SharedCamera, create_database, extract};
 use tiepoint_pipeline::Error;
 use tiepoint_pipeline::io::features::{
     self as sift, DomainSizes, Normalization, Orientation, SiftExtractor,
@@ -13,6 +13,13 @@ use super::options::Options;
 use crate::failure::Failure;
 use crate::output::Output;
 use crate::progress::Progress;
+
+/// An empty database. One that is there stays.
+pub(super) fn database_creator(options: &Options, output: &Output) -> Result<(), Failure> {
+    let database = options.required("database_path").map_err(Failure::Usage)?;
+    create_database(&database)?;
+    output.result(&database, || format!("{}\n", database.display()))
+}
 
 pub(super) fn feature_extractor(options: &Options, output: &Output) -> Result<(), Failure> {
     let database = options.required("database_path").map_err(Failure::Usage)?;
@@ -37,7 +44,11 @@ fn extraction(options: &Options, extractor: SiftExtractor) -> Result<ExtractOpti
     let model =
         CameraModelKind::from_name(&name.to_ascii_uppercase()).map_err(|e| e.to_string())?;
     let params = options.text("ImageReader.camera_params");
-    let params = if params.is_empty() { None } else { Some(intrinsics(model, params)?) };
+    let params = if params.is_empty() {
+        None
+    } else {
+        Some(intrinsics(model, params, "ImageReader.camera_params")?)
+    };
     let most: i64 = options.number("SiftExtraction.max_image_size")?;
     Ok(ExtractOptions {
         masks: options.path("ImageReader.mask_path"),
@@ -52,13 +63,16 @@ fn extraction(options: &Options, extractor: SiftExtractor) -> Result<ExtractOpti
     })
 }
 
-fn intrinsics(model: CameraModelKind, params: &str) -> Result<Intrinsics, String> {
+/// The intrinsics that an option gives.
+pub(super) fn intrinsics(
+    model: CameraModelKind,
+    params: &str,
+    option: &str,
+) -> Result<Intrinsics, String> {
     let numbers: Result<Vec<f64>, _> =
         params.split(',').map(|number| number.trim().parse::<f64>()).collect();
-    let numbers = numbers
-        .map_err(|_| format!("--ImageReader.camera_params is {params}, not a list of numbers"))?;
-    Intrinsics::new(model, &numbers)
-        .map_err(|cause| format!("--ImageReader.camera_params {params}: {cause}"))
+    let numbers = numbers.map_err(|_| format!("--{option} is {params}, not a list of numbers"))?;
+    Intrinsics::new(model, &numbers).map_err(|cause| format!("--{option} {params}: {cause}"))
 }
 
 /// The modes of `--camera_mode` are 0 (by EXIF), 1 (single), 2 (folder), 3 (image).

@@ -1,5 +1,6 @@
 //! `colmap VERB`: COLMAP's commands with COLMAP's options, and the program under the name `colmap`.
 
+mod automatic;
 mod features;
 mod help;
 mod mapping;
@@ -18,7 +19,7 @@ use crate::args::Colmap;
 use crate::failure::Failure;
 use crate::output::Output;
 use options::Options;
-use verbs::{VERBS, Verb};
+use verbs::{OTHERS, VERBS, Verb};
 
 /// The name under which the program is this command.
 const NAME: &str = "colmap";
@@ -57,9 +58,11 @@ fn run(words: &[OsString], output: &Output) -> Result<(), Failure> {
         _ => {}
     }
     let Some(verb) = VERBS.iter().find(|verb| verb.name == first) else {
-        return Err(Failure::Usage(format!(
-            "this is no command of COLMAP that tiepoint has: {first}; `colmap help` lists them"
-        )));
+        let other = OTHERS.iter().find(|(name, _)| name == first);
+        return Err(Failure::Usage(match other {
+            Some((name, instead)) => format!("tiepoint has no {name}: {instead}"),
+            None => format!("COLMAP has no command {first}; `colmap help` lists those of tiepoint"),
+        }));
     };
     if rest.iter().any(|word| word == "-h" || word == "--help") {
         return help::of_verb(verb, output);

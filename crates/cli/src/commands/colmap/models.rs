@@ -1,9 +1,10 @@
-//! `bundle_adjuster`, `model_aligner`, `model_analyzer`, `model_converter` and `model_merger`.
+//! `bundle_adjuster`, `color_extractor`, `model_aligner`, `model_analyzer`, `model_converter`,
+//! `model_merger` and `model_orientation_aligner`.
 
 use std::path::PathBuf;
 
 use tiepoint_colmap::{
-    AdjustModelOptions, AlignedTo, adjust, align, convert_to_ply, merge, write_as,
+    AdjustModelOptions, AlignedTo, adjust, align, color, convert_to_ply, merge, write_as,
 };
 use tiepoint_pipeline::io::colmap::Format;
 use tiepoint_pipeline::models::model_info;
@@ -88,6 +89,27 @@ pub(super) fn model_aligner(options: &Options, output: &Output) -> Result<(), Fa
         });
         format!("{} images, {} points{distance}\n", aligned.images, aligned.points)
     })
+}
+
+/// Up is −y in the result, as in COLMAP.
+pub(super) fn model_orientation_aligner(options: &Options, output: &Output) -> Result<(), Failure> {
+    let [from, to] = paths(options)?;
+    let method = options.text("method");
+    if !method.eq_ignore_ascii_case("IMAGE-ORIENTATION") {
+        return Err(Failure::Usage(format!(
+            "--method {method} looks for vanishing points, which tiepoint does not: give --method \
+            IMAGE-ORIENTATION, which takes the mean of the images' own up directions"
+        )));
+    }
+    let aligned = align(&from, AlignedTo::Upright, &to, None, false)?;
+    output.result(&aligned, || format!("{} images, {} points\n", aligned.images, aligned.points))
+}
+
+pub(super) fn color_extractor(options: &Options, output: &Output) -> Result<(), Failure> {
+    let [from, to] = paths(options)?;
+    let images = options.required("image_path").map_err(Failure::Usage)?;
+    let points = color(&from, &images, &to)?;
+    output.result(&points, || format!("{points} points\n"))
 }
 
 /// The lines are those of COLMAP, which scripts parse.

@@ -262,6 +262,28 @@ pub(super) const BUNDLE_ADJUSTMENT: &[Spec] = &[
     int("BundleAdjustment.num_threads", "-1", Speed),
 ];
 
+/// Options of `automatic_reconstructor`.
+pub(super) const AUTOMATIC: &[Spec] = &[
+    path("workspace_path", "", Used),
+    path("mask_path", "", Used),
+    path("vocab_tree_path", "", Tuning),
+    text("data_type", "individual", Used),
+    text("quality", "high", Used),
+    text("camera_model", "SIMPLE_RADIAL", Used),
+    bool("single_camera", "0", Used),
+    text("camera_params", "", Used),
+    bool("sparse", "1", Fixed),
+    bool("dense", "1", Used),
+    text("mesher", "poisson", Tuning),
+    int("num_threads", "-1", Speed),
+    bool("use_gpu", "1", Speed),
+    text("gpu_index", "-1", Speed),
+];
+
+/// Options of `model_orientation_aligner`.
+pub(super) const ORIENTATION: &[Spec] =
+    &[text("method", "MANHATTAN-WORLD", Used), int("max_image_size", "1024", Tuning)];
+
 /// Options of `image_undistorter`.
 pub(super) const UNDISTORTER: &[Spec] = &[
     text("output_type", "COLMAP", Used),

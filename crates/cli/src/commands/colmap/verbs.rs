@@ -3,11 +3,11 @@
 use super::options::Options;
 use super::spec::Spec;
 use super::tables::{
-    ALIGNER, ANALYZER, BUNDLE_ADJUSTMENT, CONVERTER, DATABASE, EXHAUSTIVE, EXTRACTION, IMAGE_LIST,
-    IMAGES, INPUT, MAPPER, MATCHING, MERGER, OUTPUT, RIGS, SEQUENTIAL, TRIANGULATOR, UNDISTORTER,
-    VOCAB_TREE,
+    ALIGNER, ANALYZER, AUTOMATIC, BUNDLE_ADJUSTMENT, CONVERTER, DATABASE, EXHAUSTIVE, EXTRACTION,
+    IMAGE_LIST, IMAGES, INPUT, MAPPER, MATCHING, MERGER, ORIENTATION, OUTPUT, RIGS, SEQUENTIAL,
+    TRIANGULATOR, UNDISTORTER, VOCAB_TREE,
 };
-use super::{features, mapping, matching, models, undistortion};
+use super::{automatic, features, mapping, matching, models, undistortion};
 use crate::failure::Failure;
 use crate::output::Output;
 
@@ -28,10 +28,21 @@ impl Verb {
 /// The verbs, in the order of their names.
 pub(super) const VERBS: &[Verb] = &[
     Verb {
+        name: "automatic_reconstructor",
+        options: &[IMAGES, AUTOMATIC],
+        run: automatic::automatic_reconstructor,
+    },
+    Verb {
         name: "bundle_adjuster",
         options: &[INPUT, OUTPUT, BUNDLE_ADJUSTMENT],
         run: models::bundle_adjuster,
     },
+    Verb {
+        name: "color_extractor",
+        options: &[IMAGES, INPUT, OUTPUT],
+        run: models::color_extractor,
+    },
+    Verb { name: "database_creator", options: &[DATABASE], run: features::database_creator },
     Verb {
         name: "exhaustive_matcher",
         options: &[DATABASE, MATCHING, EXHAUSTIVE],
@@ -70,6 +81,11 @@ pub(super) const VERBS: &[Verb] = &[
     },
     Verb { name: "model_merger", options: &[MERGER, OUTPUT], run: models::model_merger },
     Verb {
+        name: "model_orientation_aligner",
+        options: &[INPUT, OUTPUT, ORIENTATION],
+        run: models::model_orientation_aligner,
+    },
+    Verb {
         name: "point_triangulator",
         options: &[DATABASE, IMAGES, INPUT, OUTPUT, TRIANGULATOR, MAPPER],
         run: mapping::point_triangulator,
@@ -91,6 +107,51 @@ pub(super) const VERBS: &[Verb] = &[
     },
 ];
 
+/// COLMAP's other commands of 3.x and 4.x, in the order of their names, and what serves instead.
+pub(super) const OTHERS: &[(&str, &str)] = &[
+    ("advancing_front_mesher", NO_MESH),
+    ("database_cleaner", DATABASES),
+    ("database_merger", DATABASES),
+    ("delaunay_mesher", NO_MESH),
+    ("feature_importer", "give the database of another program to `tiepoint features --database`"),
+    ("geometric_verifier", "the matchers and the mapper verify matches themselves"),
+    ("global_mapper", MAPPERS),
+    ("gui", "`tiepoint view WORKSPACE` writes a page that a browser shows"),
+    ("guided_geometric_verifier", "the matchers and the mapper verify matches themselves"),
+    ("hierarchical_mapper", MAPPERS),
+    ("image_deleter", MODELS),
+    ("image_filterer", MODELS),
+    ("image_rectifier", "`image_undistorter` writes undistorted images"),
+    ("image_undistorter_standalone", "`tiepoint undistort` takes a model"),
+    ("matches_importer", "give a database with matches to `tiepoint features --database`"),
+    ("mesh_simplifier", NO_MESH),
+    ("mesh_texturer", NO_MESH),
+    ("model_clusterer", MODELS),
+    ("model_comparer", "`tiepoint evaluate poses MODEL --truth colmap:MODEL` compares models"),
+    ("model_cropper", "`tiepoint model crop MODEL --box x1,y1,z1,x2,y2,z2 -o OUT`"),
+    ("model_splitter", "`tiepoint model crop` cuts a part out"),
+    ("model_transformer", "`tiepoint model transform MODEL --by FILE -o OUT`"),
+    ("patch_match_stereo", DENSE),
+    ("point_filtering", MODELS),
+    ("poisson_mesher", NO_MESH),
+    ("pose_prior_mapper", "`mapper`, and then `model_aligner` to the positions"),
+    ("project_generator", "options are given on the command line"),
+    ("rotation_averager", MAPPERS),
+    ("spatial_matcher", "`sequential_matcher`, or `tiepoint match`, which chooses similar images"),
+    ("stereo_fusion", DENSE),
+    ("transitive_matcher", "`exhaustive_matcher` or `tiepoint match`"),
+    ("view_graph_calibrator", "`mapper` refines the intrinsics"),
+    ("vocab_tree_builder", "`vocab_tree_matcher` needs no file of words"),
+    ("vocab_tree_retriever", "`vocab_tree_matcher` finds similar images and matches them"),
+];
+const NO_MESH: &str = "there are no meshes: give dense/fused.ply of `tiepoint dense` to COLMAP, \
+    OpenMVS or CloudCompare";
+const DATABASES: &str = "make a new database with `feature_extractor`, or use COLMAP itself";
+const MAPPERS: &str = "`mapper` is the incremental one, the only one here";
+const MODELS: &str = "edit the model in Python, or use COLMAP itself";
+const DENSE: &str = "`tiepoint dense WORKSPACE` estimates depth maps and fuses them on the CPU, \
+    for a workspace of `tiepoint reconstruct` or `automatic_reconstructor`";
+
 #[cfg(test)]
 mod tests {
     use super::super::tables::{ALIASES, GENERAL};
@@ -99,6 +160,9 @@ mod tests {
     #[test]
     fn verbs_are_sorted_and_their_options_have_one_meaning() {
         assert!(VERBS.is_sorted_by_key(|verb| verb.name));
+        assert!(OTHERS.is_sorted_by_key(|other| other.0));
+        let is_own = |name: &str| VERBS.iter().any(|verb| verb.name == name);
+        assert!(!OTHERS.iter().any(|(name, _)| is_own(name)));
         for verb in VERBS {
             let mut names: Vec<&str> = verb.options().map(|spec| spec.name).collect();
             names.extend(GENERAL.iter().map(|spec| spec.name));
@@ -114,6 +178,23 @@ mod tests {
         let all: Vec<&str> = VERBS.iter().flat_map(Verb::options).map(|spec| spec.name).collect();
         for (new, old) in ALIASES {
             assert!(all.contains(old) && !all.contains(new), "{new}");
+        }
+    }
+
+    /// The page says how many of COLMAP's commands there are, and names each.
+    #[test]
+    fn the_page_of_the_verbs_is_true() {
+        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/colmap.md");
+        // A published package has no such folder.
+        let Ok(page) = std::fs::read_to_string(path) else { return };
+        let all = VERBS.len() + OTHERS.len();
+        assert!(page.contains(&format!("{} of COLMAP's {all} commands", VERBS.len())), "{all}");
+        for verb in VERBS {
+            assert!(page.contains(&format!("`{}`", verb.name)), "{}", verb.name);
+        }
+        for (name, instead) in OTHERS {
+            let row = format!("| `{name}` | {instead} |");
+            assert!(page.contains(&row), "no line {row}");
         }
     }
 }

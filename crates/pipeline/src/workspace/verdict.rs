@@ -1,0 +1,103 @@
+//! What a report says, in a few sentences.
+
+use crate::workspace::report::{ModelReport, Report};
+use crate::workspace::rig_file::ConstraintKind;
+use crate::workspace::rig_report::RigReport;
+
+/// How good the largest model of a report is, a sentence each: how many images have a pose and with
+/// which error, what the rig contributes, and what speaks against the model. Empty without a model.
+pub fn verdict(report: &Report) -> Vec<String> {
+    let Some(model) = report.models.first() else { return Vec::new() };
+    let ModelReport { registered, images, path, mean_reprojection_error_px, .. } = model;
+    let poses = match registered == images {
+        true => format!("complete: all {images} images have a pose"),
+        false => format!("incomplete: {registered} of {images} images have a pose in {path}"),
+    };
+    let mut sentences =
+        vec![format!("{poses}, mean reprojection error {mean_reprojection_error_px:.2} px")];
+    sentences.extend(model.rig.as_ref().map(of_rig));
+    sentences.push(match report.warnings.len() {
+        0 => "no warnings".to_owned(),
+        1 => "1 warning: look at it before you use the result".to_owned(),
+        count => format!("{count} warnings: look at them before you use the result"),
+    });
+    sentences
+}
+
+/// Whether the rig constrains the model, and what that contributes.
+fn of_rig(rig: &RigReport) -> String {
+    let Some(extrinsics) = &rig.extrinsics else {
+        return match rig.mode.as_str() {
+            "paper" => {
+                "the relative poses of consecutive frames are constrained (paper)".to_owned()
+            }
+            _ => "the cameras are not constrained to each other".to_owned(),
+        };
+    };
+    let Some(chosen) = extrinsics.chosen else {
+        return format!("no rig constraint: {}", extrinsics.reason);
+    };
+    let frames: usize = rig.cameras.iter().map(|camera| camera.reconstructed_pairs).sum();
+    let all: usize = rig.cameras.iter().map(|camera| camera.pairs).sum();
+    let kind = match chosen {
+        ConstraintKind::Soft => "soft",
+        ConstraintKind::Rigid => "rigid",
+    };
+    format!(
+        "the rig ({kind}) ties {frames} of {all} frames, so that the scale cannot drift between \
+        them; held-out tracks {:.3} px, without it {:.3} px",
+        extrinsics.held_out_error_px, extrinsics.held_out_error_off_px
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::workspace::rig_report::{ExtrinsicsReport, RigCameraReport};
+    use crate::workspace::warning::Warning;
+
+    #[test]
+    fn sentences_have_the_numbers_of_the_report() {
+        assert_eq!(verdict(&Report::default()), [""; 0]);
+        let model = ModelReport {
+            path: "sparse/0".to_owned(),
+            registered: 7,
+            images: 9,
+            mean_reprojection_error_px: 0.516,
+            ..ModelReport::default()
+        };
+        let camera =
+            RigCameraReport { pairs: 5, reconstructed_pairs: 4, ..RigCameraReport::default() };
+        let extrinsics = ExtrinsicsReport {
+            chosen: Some(ConstraintKind::Rigid),
+            held_out_error_off_px: 0.6,
+            held_out_error_px: 0.5,
+            reason: "why".to_owned(),
+            ..ExtrinsicsReport::default()
+        };
+        let rig = RigReport { cameras: vec![camera], ..RigReport::default() };
+        let of = |mode: &str, extrinsics: Option<ExtrinsicsReport>| {
+            let rig = RigReport { mode: mode.to_owned(), extrinsics, ..rig.clone() };
+            let models = vec![ModelReport { rig: Some(rig), ..model.clone() }];
+            verdict(&Report { models, ..Report::default() })[1].clone()
+        };
+        let used = of("auto", Some(extrinsics.clone()));
+        assert!(used.starts_with("the rig (rigid) ties 4 of 5 frames"), "{used}");
+        assert!(used.ends_with("held-out tracks 0.500 px, without it 0.600 px"), "{used}");
+        let unused = of("auto", Some(ExtrinsicsReport { chosen: None, ..extrinsics }));
+        assert_eq!(unused, "no rig constraint: why");
+        assert!(
+            of("paper", None).contains("(paper)") && of("off", None).contains("not constrained")
+        );
+
+        let mut report = Report { models: vec![model.clone()], ..Report::default() };
+        let expected =
+            "incomplete: 7 of 9 images have a pose in sparse/0, mean reprojection error 0.52 px";
+        assert_eq!(verdict(&report), [expected, "no warnings"]);
+        report.models[0].registered = 9;
+        report.warnings = vec![Warning::Jumps { model: String::new(), images: Vec::new() }; 2];
+        let [poses, warnings] = verdict(&report).try_into().unwrap();
+        assert!(poses.starts_with("complete: all 9 images have a pose, mean"), "{poses}");
+        assert!(warnings.starts_with("2 warnings"), "{warnings}");
+    }
+}
