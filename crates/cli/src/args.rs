@@ -483,7 +483,7 @@ pub(crate) struct Mapping {
     /// scaled to it; by default the scale is arbitrary.
     #[arg(long, value_name = "0.62m", conflicts_with = "input_model")]
     pub(crate) baseline: Option<Metres>,
-    /// Where the photos were taken: auto (EXIF), off, or a CSV file.
+    /// Positions of the photos: a CSV file, auto (EXIF) or off.
     ///
     /// auto takes positions of EXIF, or pose_priors of --database. A CSV file has the header
     /// image,lat,lon,alt (WGS 84, degrees and metres) or image,x,y,z (metres, z up), and perhaps
@@ -493,7 +493,7 @@ pub(crate) struct Mapping {
     #[arg(
         help_heading = "Input",
         long,
-        value_name = "auto|off|FILE",
+        value_name = "FILE",
         default_value = "auto",
         value_parser = position_priors
     )]
