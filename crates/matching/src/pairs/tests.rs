@@ -17,10 +17,10 @@ fn text_round_trip_and_invalid_texts() {
     ] {
         assert_eq!(text.parse::<PairSelection>().unwrap().to_string(), text);
     }
+    assert_eq!("sequential".parse(), Ok(sequential(10)));
     for text in [
         "",
         "all",
-        "sequential",
         "sequential:",
         "sequential:0",
         "sequential:-3",

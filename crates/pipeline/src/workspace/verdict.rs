@@ -31,6 +31,7 @@ fn of_rig(rig: &RigReport) -> String {
             "paper" => {
                 "the relative poses of consecutive frames are constrained (paper)".to_owned()
             }
+            "known" => "the rig is known".to_owned(),
             _ => "the cameras are not constrained to each other".to_owned(),
         };
     };
@@ -44,8 +45,8 @@ fn of_rig(rig: &RigReport) -> String {
         ConstraintKind::Rigid => "rigid",
     };
     format!(
-        "the rig ({kind}) ties {frames} of {all} frames, so that the scale cannot drift between \
-        them; held-out tracks {:.3} px, without it {:.3} px",
+        "the rig ({kind}) ties {frames} of {all} pairs of images, so that the scale cannot drift \
+        between them; held-out tracks {:.3} px, without it {:.3} px",
         extrinsics.held_out_error_px, extrinsics.held_out_error_off_px
     )
 }
@@ -82,13 +83,14 @@ mod tests {
             verdict(&Report { models, ..Report::default() })[1].clone()
         };
         let used = of("auto", Some(extrinsics.clone()));
-        assert!(used.starts_with("the rig (rigid) ties 4 of 5 frames"), "{used}");
+        assert!(used.starts_with("the rig (rigid) ties 4 of 5 pairs"), "{used}");
         assert!(used.ends_with("held-out tracks 0.500 px, without it 0.600 px"), "{used}");
         let unused = of("auto", Some(ExtrinsicsReport { chosen: None, ..extrinsics }));
         assert_eq!(unused, "no rig constraint: why");
         assert!(
             of("paper", None).contains("(paper)") && of("off", None).contains("not constrained")
         );
+        assert!(of("known", None).contains("is known"));
 
         let mut report = Report { models: vec![model.clone()], ..Report::default() };
         let expected =

@@ -89,6 +89,7 @@ pub fn unregistered_images(
         .filter(|(_, image)| !image.keypoints.is_empty() && image.cam_from_world().is_none())
         .map(|(id, _)| id)
         .collect();
+    let timelines: Vec<Timelines> = models.iter().map(|model| Timelines::new(model)).collect();
     let describe = |image: ImageId| {
         let posed_in = models.iter().position(|model| has_pose(model, image));
         let wanted = if posed_in.is_some() { &models[..1] } else { models };
@@ -107,7 +108,7 @@ pub fn unregistered_images(
         let reason = match (graph.neighbours(image).len(), nearest) {
             (0, _) => UnregisteredReason::NoPair,
             (pairs, None) => UnregisteredReason::NoPairWithModel { pairs },
-            _ => reason_of_pose(graph, models[model], image, options, seed),
+            _ => reason_of_pose(graph, models[model], &timelines[model], image, options, seed),
         };
         UnregisteredImage { image, posed_in, model, reason, nearest }
     };
@@ -118,6 +119,7 @@ pub fn unregistered_images(
 fn reason_of_pose(
     graph: &CorrespondenceGraph,
     model: &Reconstruction,
+    timelines: &Timelines,
     image: ImageId,
     options: &RegisterOptions,
     seed: u64,
@@ -144,7 +146,6 @@ fn reason_of_pose(
     match estimate::absolute_pose(&pixels, &points, intrinsics, &ransac) {
         Some(report) if report.num_inliers >= required => {
             let inliers = report.num_inliers;
-            let timelines = Timelines::new(model);
             let motion = timelines.expected_motion(model, image);
             if motion.is_some_and(|motion| motion.contradicts(&report.model)) {
                 UnregisteredReason::OutOfReach { correspondences, inliers }

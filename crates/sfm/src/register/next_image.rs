@@ -149,7 +149,8 @@ impl NextBestView {
     }
 
     /// Returns the placement of the first candidate that is not deferred. If there is none: an
-    /// error with the candidates that have no pose, or else the best deferred candidate.
+    /// error with the candidates that have no pose, or else the best deferred candidate. One that
+    /// both its motion and its recall contradict is not registered.
     fn choose(
         &mut self,
         graph: &CorrespondenceGraph,
@@ -206,6 +207,8 @@ impl NextBestView {
             if placement.is_plausible || has_recall {
                 return Ok(placement);
             }
+            // Images behind it in time go on waiting: registered past it, they would be misplaced
+            // by the same windows.
         }
         Err(failed)
     }
