@@ -1,9 +1,10 @@
 //! Measured positions of images, as COLMAP's feature extractor writes them from EXIF.
 
+use rusqlite::params;
 use tiepoint_geometry::nalgebra::Vector3;
 use tiepoint_scene::{ImageId, Place, Position};
 
-use super::connection::{Database, numbers};
+use super::connection::{Database, bytes};
 use crate::Result;
 
 /// COLMAP's `PosePrior::CoordinateSystem`.
@@ -41,7 +42,7 @@ impl Database {
         let mut priors = Vec::new();
         for (file_id, position, system, covariance) in rows {
             let Ok(image) = self.image_id(file_id, || "a pose prior".to_owned()) else { continue };
-            let Some(xyz) = position.as_deref().and_then(coordinates) else { continue };
+            let Some(xyz) = position.as_deref().and_then(values::<3>) else { continue };
             let place = match system {
                 Some(WGS84) => Place::Geodetic {
                     latitude_deg: xyz[0],
@@ -54,10 +55,10 @@ impl Database {
             if place.validate().is_err() || place.is_null() {
                 continue;
             }
-            let variances = covariance.and_then(|blob| numbers(&blob, 9));
+            let variances = covariance.as_deref().and_then(values::<9>);
             let sigma_m =
                 |variance: f64| Some(variance.sqrt()).filter(|s| s.is_finite() && *s > 0.0);
-            let of = |pick: &dyn Fn(&[f64]) -> f64| sigma_m(pick(variances.as_ref()?));
+            let of = |pick: &dyn Fn(&[f64; 9]) -> f64| sigma_m(pick(variances.as_ref()?));
             priors.push((
                 image,
                 Position {
@@ -71,9 +72,54 @@ impl Database {
     }
 }
 
-/// Three numbers, of which some may be no number: COLMAP's for what EXIF lacks.
-fn coordinates(blob: &[u8]) -> Option<[f64; 3]> {
+impl Database {
+    /// Replaces the table `pose_priors` of a database that this program made. What is not known is
+    /// no number, as COLMAP writes it.
+    ///
+    /// # Errors
+    ///
+    /// If an image is not in the file, and if the file cannot be written.
+    pub fn write_pose_priors(&mut self, positions: &[(ImageId, Position)]) -> Result<()> {
+        const NONE: f64 = f64::NAN;
+        let mut rows = Vec::new();
+        for (image, position) in positions {
+            let (place, system) = match position.place {
+                Place::Geodetic { latitude_deg, longitude_deg, altitude_m } => {
+                    ([latitude_deg, longitude_deg, altitude_m.unwrap_or(NONE)], WGS84)
+                }
+                Place::Cartesian(xyz) => (xyz.into(), CARTESIAN),
+            };
+            let variance = |sigma_m: Option<f64>| sigma_m.map_or(NONE, |sigma_m| sigma_m * sigma_m);
+            let horizontal = variance(position.sigma_horizontal_m);
+            let vertical = variance(position.sigma_vertical_m);
+            let [none, h, v] = [0.0, horizontal, vertical];
+            let covariance = [h, none, none, none, h, none, none, none, v];
+            let camera = self.camera_of[image.index()];
+            rows.push((
+                self.file_id(*image)?,
+                self.cameras[camera.index()],
+                place,
+                covariance,
+                system,
+            ));
+        }
+        self.transaction(|db| {
+            db.run("DELETE FROM pose_priors")?;
+            for (image, camera, place, covariance, system) in &rows {
+                let sql = "INSERT INTO pose_priors(pose_prior_id, corr_data_id, corr_sensor_id, \
+                           corr_sensor_type, position, position_covariance, gravity, \
+                           coordinate_system) VALUES (?1, ?1, ?2, 0, ?3, ?4, ?5, ?6)";
+                let [place, covariance, gravity] = [&place[..], covariance, &[NONE; 3]].map(bytes);
+                db.execute(sql, params![image, camera, place, covariance, gravity, system])?;
+            }
+            Ok(())
+        })
+    }
+}
+
+/// Numbers, of which some may be no number: COLMAP's for what EXIF lacks.
+fn values<const N: usize>(blob: &[u8]) -> Option<[f64; N]> {
     let (chunks, rest) = blob.as_chunks::<8>();
-    let values: [[u8; 8]; 3] = chunks.try_into().ok()?;
+    let values: [[u8; 8]; N] = chunks.try_into().ok()?;
     rest.is_empty().then(|| values.map(f64::from_le_bytes))
 }

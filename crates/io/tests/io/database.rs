@@ -694,6 +694,14 @@ fn pose_priors_are_positions_with_deviations() {
     let second = Position { place, sigma_horizontal_m: None, sigma_vertical_m: None };
     assert_eq!(db.read_pose_priors().unwrap(), [(ImageId(0), first), (ImageId(1), second)]);
     drop(db);
+    // What is written is read again, also where a deviation or an altitude is not known.
+    let level = Position { sigma_vertical_m: None, ..first };
+    let written = [(ImageId(1), second), (ImageId(2), first), (ImageId(4), level)];
+    let mut db = Database::open(&path).unwrap();
+    db.write_pose_priors(&written).unwrap();
+    assert_eq!(db.read_pose_priors().unwrap(), written);
+    assert!(db.write_pose_priors(&[(ImageId(6), first)]).is_err(), "there are six images");
+    db.close().unwrap();
     // COLMAP 3.10 has rows of images.
     let sql = rusqlite::Connection::open(&path).unwrap();
     sql.execute_batch(
