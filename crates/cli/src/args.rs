@@ -488,8 +488,8 @@ pub(crate) struct Mapping {
     /// auto takes positions of EXIF, or pose_priors of --database. A CSV file has the header
     /// image,lat,lon,alt (WGS 84, degrees and metres) or image,x,y,z (metres, z up), and perhaps
     /// sigma or sigma_h,sigma_v (standard deviations in metres, else estimated). The model is then
-    /// in metres, x east, y north, z up, and georeference.json has its origin. Positions with stated
-    /// deviations also take part in the adjustments, if held-out ones say that it helps.
+    /// in metres, x east, y north, z up, and georeference.json has its origin. Positions with
+    /// stated deviations also take part in the adjustments, if held-out ones say that it helps.
     #[arg(
         help_heading = "Input",
         long,

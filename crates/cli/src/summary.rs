@@ -61,7 +61,7 @@ fn next_commands(workspace: &Path, report: &Report) -> Vec<(String, &'static str
         commands.push((format!("tiepoint dense {workspace}"), what));
     }
     let is_unknown = model.rig.as_ref().is_some_and(|rig| rig.mode != "known");
-    if is_unknown && model.scale.is_none() {
+    if is_unknown && model.scale.is_none() && model.positions.is_none() {
         let what = "in metres, with the distance of the first two cameras; the scale is arbitrary";
         commands.push((format!("tiepoint map {workspace} --redo map --baseline 0.62m"), what));
     }

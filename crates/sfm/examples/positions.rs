@@ -91,7 +91,7 @@ impl Street {
             let is_gross = gross.uniform() < kind.gross;
             let far = if is_gross { normal(50.0) } else { Vector3::zeros() };
             let xyz = pose.origin_in_a() + normal(kind.noise_m) + slow + far;
-            MeasuredPosition { image: *image, xyz, sigmas_m: stated }
+            MeasuredPosition { image: *image, xyz, has_height: true, sigmas_m: stated }
         };
         truth.iter().map(measure).collect()
     }
@@ -137,7 +137,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let model = &without.reconstruction;
         for (kind, sums) in KINDS.iter().zip(&mut sums) {
             let positions = street.positions(kind, seed);
-            let Ok(found) = align(model, &positions, 0) else {
+            let Ok(found) = align(model, &positions, false, 0) else {
                 println!("{} seed {seed}: no alignment", kind.name);
                 continue;
             };
@@ -145,7 +145,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             let with = street.map(Some(&mut term)).ok_or("no model with positions")?;
             let similarity = match with.is_in_frame_of_terms {
                 true => Sim3::identity(),
-                false => align(&with.reconstruction, &positions, 0)
+                false => align(&with.reconstruction, &positions, false, 0)
                     .map_or(Sim3::identity(), |a| a.term_from_model),
             };
             let compared = compare(

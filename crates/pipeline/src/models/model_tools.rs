@@ -12,7 +12,7 @@ use tiepoint_sfm::geometry::geodesy::Geodetic;
 use tiepoint_sfm::geometry::nalgebra::{Vector2, Vector3};
 use tiepoint_sfm::geometry::{RansacOptions, Sim3, estimate};
 use tiepoint_sfm::model_tools::{BoundingBox, align_models, crop, merge_model};
-use tiepoint_sfm::positions::{MarkedPoint, PointError, align_to_points};
+use tiepoint_sfm::positions::{ControlMisfit, MarkedPoint, PointError, align_to_points};
 use tiepoint_sfm::scene::{Georeference, Position, Reconstruction};
 use tiepoint_store::{Replace, write_file};
 
@@ -466,6 +466,23 @@ fn align_to_positions(
 const CONTROL_SIGMA_M: f64 = 0.01;
 
 /// The similarity to control points, their frame, and the points after it.
+/// Why `all` control points do not determine the alignment, and what to do.
+fn why_undetermined(misfit: ControlMisfit, all: usize) -> String {
+    match misfit {
+        ControlMisfit::TooFew { usable } => format!(
+            "{usable} of {all} control points are usable, and three that are not on a line are \
+             needed, each marked in two images with a pose and in different directions"
+        ),
+        ControlMisfit::Uncertain { usable, rotation_sd_rad, scale_sd } => format!(
+            "its {usable} usable control points are near a line or near each other, which leaves a \
+             rotation uncertain by {:.0}° and the scale by {:.0} %: mark a point beside the line, \
+             far from the others",
+            rotation_sd_rad.to_degrees().min(180.0),
+            100.0 * scale_sd.min(9.99)
+        ),
+    }
+}
+
 fn align_to_control_points(
     located: &LocatedModel,
     file: &Path,
@@ -489,14 +506,9 @@ fn align_to_control_points(
         })
     });
     let marked: Vec<MarkedPoint> = marked.collect();
-    let too_few = |usable: usize| {
-        failed(format!(
-            "{usable} of {} control points are usable, and three that are not on a line are \
-             needed, each marked in two images with a pose and in different directions",
-            points.iter().filter(|point| !point.is_check).count()
-        ))
-    };
-    let found = align_to_points(model, &marked).map_err(too_few)?;
+    let all = points.iter().filter(|point| !point.is_check).count();
+    let why = |misfit| failed(why_undetermined(misfit, all));
+    let found = align_to_points(model, &marked).map_err(why)?;
     let info = |(point, error): (&ControlPoint, &PointError)| ControlPointInfo {
         name: point.name.clone(),
         is_check: point.is_check,
@@ -507,7 +519,7 @@ fn align_to_control_points(
         sigmas_m: error.error_m.map(|_| error.sigmas_m.into()),
     };
     let infos = points.iter().zip(&found.points).map(info).collect();
-    let georeference = georeference.ok_or_else(|| too_few(0))?;
+    let georeference = georeference.ok_or_else(|| why(ControlMisfit::TooFew { usable: 0 }))?;
     Ok((found.term_from_model, georeference, infos))
 }
 

@@ -11,13 +11,13 @@ use tiepoint_input::cameras::{
 };
 use tiepoint_input::fingerprint::hash_file;
 use tiepoint_input::parallel::{budget_bytes, for_each_within_budget};
-use tiepoint_input::{CameraGrouping, DEFAULT_MAX_PIXELS, ImageInfo, Photos, SkippedImage};
+use tiepoint_input::{CameraGrouping, DEFAULT_MAX_PIXELS, Exif, ImageInfo, Photos, SkippedImage};
 use tiepoint_io::database::{Database, read_stage_rows};
 use tiepoint_io::features::{Extractor, Features, SiftExtractor};
 use tiepoint_io::names::ByName;
 use tiepoint_io::timestamps;
 use tiepoint_sfm::geometry::numeric::median;
-use tiepoint_sfm::scene::{Camera, CameraId, Image, ImageId, Reconstruction};
+use tiepoint_sfm::scene::{Camera, CameraId, Image, ImageId, Position, Reconstruction};
 use tiepoint_store::Error as StoreError;
 
 use crate::stages::extraction::{extract_photo, memory_of};
@@ -133,7 +133,8 @@ pub(crate) fn extract_features_of(
     let inputs = Some(photos.inputs.clone());
     let request = StageRequest { stage: Stage::Features, recipe, redo, inputs };
     let cameras = found.cameras;
-    let survey = Survey { photos, usable, calibrations, cameras, times };
+    let positions = positions(photos, &usable);
+    let survey = Survey { photos, usable, calibrations, cameras, times, positions };
     check(workspace, &survey.scene())?;
     workspace.run_stage(request, watch, |run| survey.extract(run, options, skipped))
 }
@@ -146,6 +147,8 @@ struct Survey<'a> {
     cameras: Vec<Camera>,
     /// Names and capture times, in seconds, of the images with a known time.
     times: Vec<(&'a str, f64)>,
+    /// The positions in EXIF.
+    positions: Vec<(ImageId, Position)>,
 }
 
 impl Survey<'_> {
@@ -251,6 +254,13 @@ impl Survey<'_> {
         let mut notes = self.photos.notes.clone();
         notes.extend(self.photos.folder.notes_on_bits());
         notes.extend(self.photos.notes_on_times(&self.usable, &self.times));
+        if !self.positions.is_empty() {
+            notes.push(format!(
+                "{} of {} photos have a position in EXIF, which database.db keeps",
+                self.positions.len(),
+                self.usable.len()
+            ));
+        }
         notes
     }
 
@@ -327,9 +337,23 @@ impl Survey<'_> {
             database.write_cameras(&self.cameras)?;
             database.write_images(&images)?;
             database.write_rigs(&[], &[])?;
+            if !self.positions.is_empty() {
+                database.write_pose_priors(&self.positions)?;
+            }
             database.write_stage_rows(&workspace.records.rows())
         })?)
     }
+}
+
+/// The positions in EXIF.
+fn positions(photos: &Photos, usable: &[Photo]) -> Vec<(ImageId, Position)> {
+    let position = |(index, photo): (usize, &Photo)| {
+        photo.info.exif.position?;
+        // The file has what the header does not: deviations in XMP.
+        let position = Exif::read(photos.folder.path(photo.index)).ok()?.position?;
+        Some((ImageId::from_index(index), position))
+    };
+    usable.iter().enumerate().filter_map(position).collect()
 }
 
 /// Names and capture times, in seconds, of the images with a known time.

@@ -29,7 +29,7 @@ use crate::stages::colors::color_points;
 use crate::stages::foreign_database::require_descriptors;
 use crate::stages::input_model::{InputModel, OpenedModel};
 use crate::stages::option_keys;
-use crate::stages::positions::{FoundPositions, Placed, PositionPriors, ScenePositions};
+use crate::stages::positions::{FoundPositions, Placed, PositionPriors, ScaleOf, ScenePositions};
 use crate::stages::rig_calibration::known_rigs;
 use crate::stages::rig_hints::why_no_rig;
 use crate::stages::scale::scale_to_baseline;
@@ -250,16 +250,18 @@ impl<'a> MapRequest<'a> {
     /// Maps, sets scale and frame, and colours the points.
     fn map(&self, run: &mut StageRun, input: &MapInput) -> Result<Mapped, Error> {
         let mut models = self.run_mapper(run, input, None)?;
-        let scales: Vec<Option<ScaleReport>> = match self.given.baseline_m {
+        let mut scales: Vec<Option<ScaleReport>> = match self.given.baseline_m {
             Some(baseline_m) => {
                 scale_to_baseline(&mut models, baseline_m).into_iter().map(Some).collect()
             }
             None => vec![None; models.len()],
         };
         let placed = match &input.positions {
-            Some(positions) => self.place(run, input, &mut models, positions)?,
+            Some(positions) => self.place(run, input, &mut models, &scales, positions)?,
             None => Placed::default(),
         };
+        // Positions may give other models.
+        scales.resize(models.len(), None);
         color(run, &mut models)?;
         Ok(Mapped { models, scales, placed })
     }
@@ -271,29 +273,42 @@ impl<'a> MapRequest<'a> {
         run: &mut StageRun,
         input: &MapInput,
         models: &mut Vec<MappedModel>,
+        scales: &[Option<ScaleReport>],
         positions: &ScenePositions,
     ) -> Result<Placed, Error> {
         if self.input_model.is_some() {
             return Ok(Placed::unused("the model of `mapper.input_model` keeps its frame"));
         }
         let seed = self.options.seed;
-        let mut comparison = None;
-        let largest = models.first().map(|model| positions.align(model, seed));
+        let (mut comparison, mut failure) = (None, None);
+        let rigs = input.known_rigs.as_ref();
+        let scale_of = |model: &MappedModel| ScaleOf::model(model, None, rigs);
+        let largest = models.first().map(|model| positions.align(model, scale_of(model), seed));
         if let Some(Ok(largest)) = largest
             && self.given.baseline_m.is_none()
             && positions.tell_more_than(&largest)
         {
             run.emit(&Event::Noted { what: "mapping once more, with the positions" })?;
             let mut term = positions.term(&largest, seed);
-            let with = self.run_mapper(run, input, Some(&mut term))?;
-            comparison = positions.compare(models, &with, &largest, seed);
-            if comparison.is_some_and(|found| found.is_better()) {
-                *models = with;
+            match self.run_mapper(run, input, Some(&mut term)) {
+                Ok(with) => {
+                    comparison = positions.compare(models, &with, scale_of, &largest, seed);
+                    if comparison.is_some_and(|found| found.is_better()) {
+                        *models = with;
+                    }
+                }
+                Err(error) => failure = Some(why_not_adjusted(error)?),
             }
         }
-        let has_known_scale =
-            self.given.baseline_m.is_some() || self.given.rig_calibration.is_some();
-        Ok(positions.place(models, has_known_scale, comparison.as_ref(), seed))
+        let of_baseline = scales.iter().map(Option::as_ref).chain(std::iter::repeat(None));
+        let scales_of: Vec<ScaleOf> = models
+            .iter()
+            .zip(of_baseline)
+            .map(|(model, scale)| ScaleOf::model(model, scale, rigs))
+            .collect();
+        let mut placed = positions.place(models, &scales_of, comparison.as_ref(), seed);
+        placed.notes.extend(failure);
+        Ok(placed)
     }
 
     /// Runs the mapper.
@@ -365,9 +380,9 @@ impl<'a> MapRequest<'a> {
         let Mapped { models, scales, placed } = mapped;
         let files = stage_models(run.workspace, &models)?;
         let is_known = input.known_rigs.is_some();
-        let reports = self.reports(&models, scales, placed.reports, is_known);
+        let Placed { reports, factors, mut notes } = placed;
+        let reports = self.reports(&models, scales, (reports, factors), is_known);
         let may_be_rig = self.options.rig != RigMode::Off && !is_known;
-        let mut notes = placed.notes;
         if let Some(first) = models.first()
             && may_be_rig
             && reports.iter().all(|report| report.rig.is_none())
@@ -408,16 +423,18 @@ impl<'a> MapRequest<'a> {
         &self,
         models: &[MappedModel],
         scales: Vec<Option<ScaleReport>>,
-        mut positions: Vec<Option<PositionReport>>,
+        (mut positions, mut factors): (Vec<Option<PositionReport>>, Vec<f64>),
         is_known: bool,
     ) -> Vec<ModelReport> {
         positions.resize(models.len(), None);
+        factors.resize(models.len(), 1.0);
         type Of<'a> = ((&'a MappedModel, Option<ScaleReport>), Option<PositionReport>);
         let report = |(index, ((model, scale), positions)): (usize, Of)| {
             let has_failed =
                 model.failures.iter().any(|failure| failure.stage == OptionalStage::Rig);
             let mode = if is_known { RigMode::Off } else { self.options.rig };
-            let metres_per_unit = scale.as_ref().and_then(|scale| scale.factor).unwrap_or(1.0);
+            let by_baseline = scale.as_ref().and_then(|scale| scale.factor).unwrap_or(1.0);
+            let metres_per_unit = by_baseline * factors[index];
             ModelReport {
                 scale,
                 loop_pairs: model.num_loop_pairs,
@@ -428,6 +445,20 @@ impl<'a> MapRequest<'a> {
             }
         };
         models.iter().zip(scales).zip(positions).enumerate().map(report).collect()
+    }
+}
+
+/// That the mapping with positions failed, as a sentence; the models without them stay.
+///
+/// # Errors
+///
+/// [`Error::Cancelled`].
+fn why_not_adjusted(error: Error) -> Result<String, Error> {
+    match error {
+        Error::Cancelled => Err(error),
+        error => Ok(format!(
+            "positions took no part in the adjustments: mapping with them failed: {error}"
+        )),
     }
 }
 
@@ -734,7 +765,7 @@ mod tests {
     use tiepoint_sfm::geometry::nalgebra::{UnitQuaternion, Vector3};
     use tiepoint_sfm::geometry::{CameraModelKind, Intrinsics, Rigid3};
     use tiepoint_sfm::rigs::{CalibratedCamera, CalibratedRig, RigConstraint, RigPair, SensorPair};
-    use tiepoint_sfm::scene::{Camera, ImagePair, Match, TwoView};
+    use tiepoint_sfm::scene::{Camera, Frame, ImagePair, Match, Rig, RigId, RigSensor, TwoView};
 
     use super::*;
     use crate::workspace::located_model::LocatedModel;
@@ -787,6 +818,51 @@ mod tests {
             num_loop_pairs: 0,
             failures: Vec::new(),
         }
+    }
+
+    #[test]
+    fn what_sets_the_scale_is_decided_for_each_model() {
+        let with = |translation: Vector3<f64>, refine_extrinsics: bool| {
+            let mut mapped = model(1.0, false);
+            let pose = Rigid3::new(UnitQuaternion::identity(), translation);
+            let sensor =
+                |camera, cam_from_rig| RigSensor { camera: CameraId(camera), cam_from_rig };
+            let rig = Rig { sensors: vec![sensor(0, None), sensor(1, Some(pose))] };
+            mapped.reconstruction.rigs = vec![rig.clone()];
+            let images = vec![ImageId(0), ImageId(1)];
+            let (rig_from_world, of_rig) = (Rigid3::identity(), RigId(0));
+            mapped.reconstruction.frames = vec![Frame { rig: of_rig, rig_from_world, images }];
+            (mapped, KnownRigs { rigs: vec![rig], refine_extrinsics, ..KnownRigs::default() })
+        };
+        let report = |factor| ScaleReport { factor, ..ScaleReport::default() };
+        let (mut mapped, rigs) = with(Vector3::x(), true);
+        let of = |mapped: &MappedModel, factor, rigs| {
+            ScaleOf::model(mapped, Some(&report(factor)), rigs)
+        };
+        assert_eq!(of(&mapped, Some(2.0), None), ScaleOf::Baseline);
+        // Rigs that were estimated have no scale, and a baseline without two cameras sets none.
+        assert_eq!(of(&mapped, None, None), ScaleOf::Positions);
+        assert_eq!(of(&mapped, None, Some(&rigs)), ScaleOf::Rig);
+        mapped.is_in_frame_of_terms = true;
+        assert_eq!(of(&mapped, None, Some(&rigs)), ScaleOf::Positions, "extrinsics are refined");
+        let (mut mapped, rigs) = with(Vector3::x(), false);
+        mapped.is_in_frame_of_terms = true;
+        assert_eq!(of(&mapped, None, Some(&rigs)), ScaleOf::Rig);
+        mapped.reconstruction.frames.clear();
+        assert_eq!(of(&mapped, None, Some(&rigs)), ScaleOf::Positions, "no frame is in this model");
+        let (mapped, rigs) = with(Vector3::zeros(), false);
+        assert_eq!(of(&mapped, None, Some(&rigs)), ScaleOf::Positions, "one centre");
+    }
+
+    #[test]
+    fn a_mapping_with_positions_that_fails_leaves_the_models_without() {
+        assert!(matches!(why_not_adjusted(Error::Cancelled), Err(Error::Cancelled)));
+        let error = Error::NoWorkspace { path: PathBuf::from("ws") };
+        let says = why_not_adjusted(error).unwrap();
+        assert!(
+            says.starts_with("positions took no part in the adjustments: mapping with"),
+            "{says}"
+        );
     }
 
     #[test]

@@ -48,7 +48,7 @@ fn scale_model(model: &mut MappedModel, known: &[SensorPair], baseline_m: f64) -
     let (factor, source) = match factor {
         Ok(factor) => factor,
         Err(reason) => {
-            let reason = format!("the model was not scaled, because {reason}");
+            let reason = format!("the baseline sets no scale, because {reason}");
             return ScaleReport { baseline_m, factor: None, reason };
         }
     };
@@ -285,7 +285,7 @@ mod tests {
             let (same, report) = scale(&model, Vec::new());
             assert_eq!(report.factor, None, "{report:?}");
             assert!(
-                report.reason.starts_with("the model was not scaled, because ")
+                report.reason.starts_with("the baseline sets no scale, because ")
                     && report.reason.contains(part),
                 "{report:?}"
             );

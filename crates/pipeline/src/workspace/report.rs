@@ -361,15 +361,24 @@ pub struct PositionReport {
     pub outliers: Vec<String>,
     /// Standard deviation of the positions about the model along a horizontal axis, in metres.
     pub sigma_horizontal_m: f64,
-    /// Standard deviation of their heights, in metres.
-    pub sigma_vertical_m: f64,
-    /// Standard deviation of the scale, relative to it.
-    pub scale_sd: f64,
+    /// Standard deviation of their heights, in metres; `None` if too few have one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sigma_vertical_m: Option<f64>,
+    /// What gives the scale: `positions`, `baseline` or `rig`.
+    pub scale_of: String,
+    /// The scale that the positions give, relative to that of the model. `None` if they do not tell
+    /// it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub scale: Option<f64>,
+    /// Its standard deviation.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub scale_sd: Option<f64>,
     /// Standard deviation of the heading, in degrees.
     pub heading_sd_deg: f64,
-    /// Whether the positions are on a line, and that the photos are level gives the rotation about
-    /// it.
-    pub is_levelled: bool,
+    /// Standard deviation of the vertical, in degrees, if the photos being level gives it: the
+    /// positions are on a line or have no altitudes.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub level_sd_deg: Option<f64>,
     /// Whether the positions took part in the adjustments.
     pub is_adjusted: bool,
     /// Median distance of the cameras from held-out positions, in metres: without positions in the

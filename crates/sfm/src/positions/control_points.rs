@@ -1,11 +1,11 @@
 //! Control points: points with measured coordinates that are marked in images.
 
-use tiepoint_geometry::nalgebra::{Matrix3, Vector2, Vector3};
+use tiepoint_geometry::nalgebra::{Matrix3, SVector, Vector2, Vector3};
 use tiepoint_geometry::triangulate::{ViewRay, triangulate};
 use tiepoint_geometry::{Sim3, solvers};
 use tiepoint_scene::{ImageId, Reconstruction};
 
-use super::alignment::{Pair, refined};
+use super::alignment::{Free, Pair, refined};
 
 /// Largest distance of a mark from its point in the image: four deviations of marks by hand.
 const MAX_MARK_PX: f64 = 12.0;
@@ -15,6 +15,9 @@ const MARK_PX: f64 = 3.0;
 const MIN_ANGLE_RAD: f64 = 0.026;
 /// Fewest points: three determine a similarity.
 const MIN_POINTS: usize = 3;
+/// Largest standard deviation of a rotation (3°), and of the logarithm of the scale, that is of
+/// use: as far from the points as they are from each other, an error of a twentieth of that.
+const MAX_SD: f64 = 0.05;
 /// Normal quantile of one in a thousand.
 const QUANTILE: f64 = 3.09;
 
@@ -45,6 +48,25 @@ pub struct PointError {
     pub is_wrong: bool,
 }
 
+/// Why control points do not determine the similarity.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum ControlMisfit {
+    /// There are fewer than three.
+    TooFew {
+        /// Number of points that are no check points and that their marks determine.
+        usable: usize,
+    },
+    /// They leave a rotation or the scale uncertain: they are near a line, or near each other.
+    Uncertain {
+        /// Number of points that are no check points and that their marks determine.
+        usable: usize,
+        /// Standard deviation of the most uncertain rotation.
+        rotation_sd_rad: f64,
+        /// Standard deviation of the scale, relative to it.
+        scale_sd: f64,
+    },
+}
+
 /// A model in the frame of control points.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ControlAlignment {
@@ -67,22 +89,22 @@ struct Found {
 ///
 /// # Errors
 ///
-/// How many points can be used, if they are fewer than three or on a line.
+/// The points do not determine the similarity.
 pub fn align_to_points(
     model: &Reconstruction,
     points: &[MarkedPoint],
-) -> Result<ControlAlignment, usize> {
+) -> Result<ControlAlignment, ControlMisfit> {
     let found: Vec<Option<Found>> = points.iter().map(|point| in_model(model, point)).collect();
     let mut used: Vec<usize> =
         (0..points.len()).filter(|&k| found[k].is_some() && !points[k].is_check).collect();
     let fit = |used: &[usize]| fit(points, &found, used);
-    let (mut similarity, mut cost) = fit(&used).ok_or(used.len())?;
+    let (mut similarity, mut cost) = fit(&used)?;
     // Four points are the fewest of which one can be wrong: three fit any one of two.
     while used.len() > MIN_POINTS && cost > max_cost(3 * used.len() - 7) {
         let without = (0..used.len()).filter_map(|k| {
             let mut others = used.clone();
             others.remove(k);
-            fit(&others).map(|(similarity, cost)| (cost, similarity, others))
+            fit(&others).ok().map(|(similarity, cost)| (cost, similarity, others))
         });
         let Some(best) = without.min_by(|a, b| a.0.total_cmp(&b.0)) else { break };
         (cost, similarity, used) = best;
@@ -136,16 +158,27 @@ fn sigmas(point: &MarkedPoint, found: &Found, similarity: &Sim3) -> Vector3<f64>
 }
 
 /// The similarity of these points, and the sum of the squared residuals in their deviations.
-fn fit(points: &[MarkedPoint], found: &[Option<Found>], used: &[usize]) -> Option<(Sim3, f64)> {
+fn fit(
+    points: &[MarkedPoint],
+    found: &[Option<Found>],
+    used: &[usize],
+) -> Result<(Sim3, f64), ControlMisfit> {
     let used: Vec<(&MarkedPoint, &Found)> =
         used.iter().filter_map(|&k| Some((&points[k], found[k].as_ref()?))).collect();
-    if used.len() < MIN_POINTS {
-        return None;
+    let usable = used.len();
+    if usable < MIN_POINTS {
+        return Err(ControlMisfit::TooFew { usable });
     }
+    let uncertain = |rotation_sd_rad, scale_sd| {
+        Err(ControlMisfit::Uncertain { usable, rotation_sd_rad, scale_sd })
+    };
     let (from, to): (Vec<Vector3<f64>>, Vec<Vector3<f64>>) =
         used.iter().map(|(point, found)| (found.xyz, point.xyz)).unzip();
-    let mut similarity = solvers::umeyama(&from, &to, true)?;
+    let Some(mut similarity) = solvers::umeyama(&from, &to, true) else {
+        return uncertain(f64::INFINITY, f64::INFINITY);
+    };
     let mut pairs = Vec::new();
+    let mut variances = SVector::zeros();
     for _ in 0..2 {
         let pair = |(point, found): &(&MarkedPoint, &Found)| Pair {
             found: found.xyz,
@@ -154,10 +187,17 @@ fn fit(points: &[MarkedPoint], found: &[Option<Found>], used: &[usize]) -> Optio
             axes: Matrix3::identity(),
         };
         pairs = used.iter().map(pair).collect();
-        similarity = refined(&pairs, similarity, false).0;
+        (similarity, variances) = refined(&pairs, similarity, &Free::all());
     }
+    let rotation_sd_rad = variances.fixed_rows::<3>(3).sum().sqrt();
+    let scale_sd = variances[6].sqrt();
     let cost: f64 = pairs.iter().map(|pair| pair.whitened(&similarity).powi(2)).sum();
-    (cost.is_finite()).then_some((similarity, cost))
+    // No number is within no bound.
+    let is_certain = rotation_sd_rad <= MAX_SD && scale_sd <= MAX_SD && cost.is_finite();
+    if !is_certain {
+        return uncertain(rotation_sd_rad, scale_sd);
+    }
+    Ok((similarity, cost))
 }
 
 /// The 99.9 % quantile of χ² (Wilson & Hilferty 1931).

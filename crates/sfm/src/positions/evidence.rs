@@ -6,8 +6,8 @@ use tiepoint_scene::{ImageId, Reconstruction};
 
 use super::measured::MeasuredPosition;
 
-/// Positions are held out in blocks of consecutive images, since their errors are alike over
-/// seconds: every fifth of at most this many blocks.
+/// Positions are held out in blocks of consecutive ones, since their errors are alike over seconds:
+/// every fifth of at most this many blocks.
 const NUM_BLOCKS: usize = 50;
 const HELD_OUT: usize = 5;
 /// Smallest t-statistic of the differences of the blocks that is no chance.
@@ -52,7 +52,8 @@ fn block(index: usize, count: usize) -> (usize, bool) {
     (block, block % HELD_OUT == HELD_OUT / 2)
 }
 
-/// The positions that take part, and those that are held out to tell whether they help.
+/// The positions that take part, and those that are held out to tell whether they help. They come
+/// in the order in which they were measured.
 pub fn held_out(positions: &[MeasuredPosition]) -> (Vec<MeasuredPosition>, Vec<MeasuredPosition>) {
     let indexed = positions.iter().copied().enumerate();
     let (out, used): (Vec<_>, Vec<_>) =
@@ -61,7 +62,8 @@ pub fn held_out(positions: &[MeasuredPosition]) -> (Vec<MeasuredPosition>, Vec<M
     (plain(used), plain(out))
 }
 
-/// Compares models by the held-out ones of all `positions`, in the images that have a pose in both.
+/// Compares models by the held-out ones of all `positions`, in the order of [`held_out`], in the
+/// images that have a pose in both. Those without a height do not count.
 /// `sigmas_m` are the deviations about the first model, which count where stated ones are smaller:
 /// wrong positions may state any. Each model comes with its similarity to the frame of the
 /// positions. `None` without two blocks of positions.
@@ -76,6 +78,9 @@ pub fn compare(
     let (mut total, mut gained) = (0.0, 0.0);
     for (index, position) in positions.iter().enumerate() {
         let (block, true) = block(index, positions.len()) else { continue };
+        if !position.has_height {
+            continue;
+        }
         let both = [without, with].map(|models| centre(models, position.image));
         let [Some(before), Some(after)] = both else { continue };
         let stated = position.sigmas_m.unwrap_or(sigmas_m);

@@ -13,7 +13,9 @@ mod measured;
 mod term;
 
 pub use alignment::{Misfit, PositionAlignment, align};
-pub use control_points::{ControlAlignment, MarkedPoint, PointError, align_to_points};
+pub use control_points::{
+    ControlAlignment, ControlMisfit, MarkedPoint, PointError, align_to_points,
+};
 pub use evidence::{Comparison, compare, held_out};
 pub use measured::MeasuredPosition;
 pub use term::PositionTerm;

@@ -22,13 +22,15 @@ pub struct PositionTerm {
 }
 
 impl PositionTerm {
-    /// Of these positions, with `sigmas_m` where none are known.
+    /// Of those of these positions that have a height, with `sigmas_m` where no deviations are
+    /// known.
     pub fn new(positions: &[MeasuredPosition], sigmas_m: [f64; 2], seed: u64) -> Self {
         let with_sigmas = |position: &MeasuredPosition| {
             let sigmas_m = Some(position.sigmas_m.unwrap_or(sigmas_m));
             (position.image, MeasuredPosition { sigmas_m, ..*position })
         };
-        Self { positions: positions.iter().map(with_sigmas).collect(), seed }
+        let with_height = positions.iter().filter(|position| position.has_height);
+        Self { positions: with_height.map(with_sigmas).collect(), seed }
     }
 
     /// The factor of an image, and its loss. `noise` is the unit of residuals.
@@ -44,7 +46,7 @@ impl PositionTerm {
 impl Term for PositionTerm {
     fn frame(&self, model: &Reconstruction) -> TermFrame {
         let positions: Vec<MeasuredPosition> = self.positions.values().copied().collect();
-        match align(model, &positions, self.seed) {
+        match align(model, &positions, false, self.seed) {
             Ok(found) => TermFrame::TermFromModel(found.term_from_model),
             Err(_) => TermFrame::Undetermined,
         }

@@ -32,16 +32,67 @@ fn truth(dir: &Path) -> Vec<Vector3<f64>> {
     text.lines().map(centre).collect()
 }
 
-/// A file of positions, of which that of frame 5 is wrong.
-fn positions(dir: &Path) -> String {
+/// The measured place of a frame. That of frame 5 is wrong.
+fn measured((index, centre): (usize, Vector3<f64>)) -> Geodetic {
+    let far = if index == 5 { Vector3::new(70.0, 0.0, 0.0) } else { Vector3::zeros() };
+    frame().to_geodetic(&(centre.map(|m| (m / GRID_M).round() * GRID_M) + far))
+}
+
+/// A file of positions of photos in a folder.
+fn positions(dir: &Path, folder: &str) -> String {
     let mut text = String::from("image,lat,lon,alt\n");
-    for (index, centre) in truth(dir).into_iter().enumerate() {
-        let far = if index == 5 { Vector3::new(70.0, 0.0, 0.0) } else { Vector3::zeros() };
-        let place = frame().to_geodetic(&(centre.map(|m| (m / GRID_M).round() * GRID_M) + far));
+    for (index, place) in truth(dir).into_iter().enumerate().map(measured).enumerate() {
         let Geodetic { latitude_deg, longitude_deg, height_m } = place;
-        text += &format!("{index:06}.png,{latitude_deg},{longitude_deg},{height_m}\n");
+        text += &format!("{folder}{index:06}.png,{latitude_deg},{longitude_deg},{height_m}\n");
     }
     text
+}
+
+/// Adds a place to a PNG as EXIF.
+fn add_exif(photo: &Path, place: &Geodetic) {
+    // Degrees to a centimetre, and metres to a tenth of a millimetre.
+    let rational = |value: f64, unit: f64| {
+        [(value * unit).round() as u32, unit as u32].map(u32::to_le_bytes).concat()
+    };
+    let entry = |tag: u16, kind: u16, count: u32, value: u32| {
+        [&tag.to_le_bytes()[..], &kind.to_le_bytes(), &count.to_le_bytes(), &value.to_le_bytes()]
+            .concat()
+    };
+    let letter = |letter: u8| u32::from(letter);
+    const GPS: u32 = 26;
+    const DATA: u32 = GPS + 2 + 6 * 12 + 4;
+    let exif = [
+        b"II*\0\x08\0\0\0\x01\0".to_vec(),
+        entry(0x8825, 4, 1, GPS),
+        vec![0; 4],
+        vec![6, 0],
+        entry(1, 2, 2, letter(b'N')),
+        entry(2, 5, 3, DATA),
+        entry(3, 2, 2, letter(b'E')),
+        entry(4, 5, 3, DATA + 24),
+        entry(5, 1, 1, 0),
+        entry(6, 5, 1, DATA + 48),
+        vec![0; 4],
+        rational(place.latitude_deg, 1e7),
+        rational(0.0, 1.0).repeat(2),
+        rational(place.longitude_deg, 1e7),
+        rational(0.0, 1.0).repeat(2),
+        rational(place.height_m, 1e4),
+    ];
+    let chunk = [b"eXIf".to_vec(), exif.concat()].concat();
+    let mut crc = u32::MAX;
+    for byte in &chunk {
+        crc ^= u32::from(*byte);
+        for _ in 0..8 {
+            crc = (crc >> 1) ^ (0xedb8_8320 & (crc & 1).wrapping_neg());
+        }
+    }
+    let mut bytes = fs::read(photo).unwrap();
+    // Behind the signature and the header.
+    let length = (chunk.len() as u32 - 4).to_be_bytes();
+    let chunk = [&length[..], &chunk, &(!crc).to_be_bytes()].concat();
+    bytes.splice(33..33, chunk);
+    fs::write(photo, bytes).unwrap();
 }
 
 fn json(path: &Path) -> Value {
@@ -59,7 +110,7 @@ fn positions_of_photos_give_scale_north_and_up() {
     let dir = tempfile::tempdir().unwrap();
     let dir = dir.path();
     tiepoint_in(dir, SYNTH).done();
-    fs::write(dir.join("p.csv"), positions(dir)).unwrap();
+    fs::write(dir.join("p.csv"), positions(dir, "")).unwrap();
     let ws = dir.join("ws");
     tiepoint_in(dir, "reconstruct {}/drive/left -o {}/ws").done();
     let without = model_bytes(&ws);
@@ -72,9 +123,14 @@ fn positions_of_photos_give_scale_north_and_up() {
     assert!(text.contains("1 position is wrong: 000005.png"), "{text}");
     assert!(text.contains("georeference.json"), "{text}");
     tiepoint_in(dir, line).done();
+    // No baseline scales a single camera.
+    let text = tiepoint_in(dir, &format!("{line} --redo map --baseline 9m")).done().stdout();
+    assert!(text.contains("the baseline sets no scale, because there is"), "{text}");
+    assert!(text.contains("positions fit") && text.contains("its scale is known to"), "{text}");
 
     let report = &json(&ws.join("report.json"))["models"][0]["positions"];
     assert_eq!(report["outliers"], serde_json::json!(["000005.png"]));
+    assert_eq!(report["scale_of"], "positions");
     assert!(!fs::read_to_string(ws.join("report.json")).unwrap().contains("48.13"), "a place");
     let origin = json(&ws.join("georeference.json"));
     let number = |name: &str| origin[name].as_f64().unwrap();
@@ -100,6 +156,61 @@ fn positions_of_photos_give_scale_north_and_up() {
     tiepoint_in(dir, line).done();
     assert_eq!(model_bytes(&ws), without);
     assert!(!ws.join("georeference.json").exists());
+}
+
+#[test]
+fn positions_in_exif_are_kept_in_the_database() {
+    let dir = tempfile::tempdir().unwrap();
+    let dir = dir.path();
+    tiepoint_in(dir, SYNTH).done();
+    for (index, place) in truth(dir).into_iter().enumerate().map(measured).enumerate() {
+        add_exif(&dir.join(format!("drive/left/{index:06}.png")), &place);
+    }
+    let line = "reconstruct {}/drive/left -o {}/ws";
+    let text = tiepoint_in(dir, line).done().stdout();
+    assert!(text.contains("14 of 14 photos have a position in EXIF"), "{text}");
+    assert!(text.contains("x east, y north, z up: 13 of 14 positions fit"), "{text}");
+    assert!(text.contains("copies of photos keep their EXIF"), "{text}");
+    let with = model_bytes(&dir.join("ws"));
+    // Photos that have moved keep their positions.
+    fs::rename(dir.join("drive"), dir.join("moved")).unwrap();
+    tiepoint_in(dir, "map {}/ws").done();
+    let text = tiepoint_in(dir, "map {}/ws --redo map").done().stdout();
+    assert!(text.contains("13 of 14 positions fit"), "{text}");
+    // The points have no colours without photos.
+    assert_eq!(model_bytes(&dir.join("ws"))[..2], with[..2]);
+    // A workspace from before positions were read goes on as it is.
+    tiepoint_in(dir, "map {}/ws --redo map --position-priors off").done();
+    let database = rusqlite::Connection::open(dir.join("ws/database.db")).unwrap();
+    database.execute_batch("DELETE FROM pose_priors").unwrap();
+    drop(database);
+    let without = model_bytes(&dir.join("ws"));
+    tiepoint_in(dir, &line.replace("drive", "moved")).done();
+    assert_eq!(model_bytes(&dir.join("ws")), without);
+}
+
+#[test]
+fn a_baseline_sets_the_scale_and_positions_tell_what_they_think_of_it() {
+    let dir = tempfile::tempdir().unwrap();
+    let dir = dir.path();
+    tiepoint_in(dir, SYNTH).done();
+    fs::write(dir.join("p.csv"), positions(dir, "left/")).unwrap();
+    fs::create_dir(dir.join("both")).unwrap();
+    for camera in ["left", "right"] {
+        fs::rename(dir.join("drive").join(camera), dir.join("both").join(camera)).unwrap();
+    }
+    // The drive's baseline is 50 cm.
+    let line =
+        "reconstruct {}/both -o {}/ws --rig rigid --baseline 55cm --position-priors {}/p.csv";
+    let text = tiepoint_in(dir, line).done().stdout();
+    assert!(text.contains("its scale is that of the baseline (positions give 0.9"), "{text}");
+    let report = &json(&dir.join("ws/report.json"))["models"][0];
+    assert_eq!(report["positions"]["scale_of"], "baseline");
+    let metres = report["rig"]["cameras"][0]["median_baseline"].as_f64().unwrap();
+    assert!((metres - 0.55).abs() < 1e-6, "{metres}");
+    // Deviations are those of the model as it is, a tenth larger than the drive.
+    let sigma_m = report["positions"]["sigma_horizontal_m"].as_f64().unwrap();
+    assert!(sigma_m > 2.0 * GRID_M, "{sigma_m}");
 }
 
 #[test]
