@@ -139,8 +139,8 @@ impl fmt::Display for Misfit {
             ),
             Self::NoVertical { is_line } => write!(
                 f,
-                "they {}, and the photos are not upright enough to tell which side is up, as control \
-                 points would",
+                "they {}, and the photos are not upright enough to tell which side is up, as \
+                 control points would",
                 if *is_line { "are on a line" } else { "have no altitudes" }
             ),
             Self::UpsideDown => {
