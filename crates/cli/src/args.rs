@@ -986,7 +986,7 @@ pub(crate) struct Scenery {
     /// The same command resumes an interrupted run.
     #[arg(short, long = "output", value_name = "DIR", default_value = "tiepoint-experiment")]
     pub(crate) output: PathBuf,
-    /// Renders only the first N images of each camera; by default the whole loop.
+    /// Renders only the first N images of each camera; by default the whole drive.
     #[arg(long, value_name = "N")]
     pub(crate) frames: Option<NonZeroUsize>,
     /// Size of the images, in pixels.
@@ -998,7 +998,16 @@ pub(crate) struct Scenery {
     /// Images per second of each camera.
     #[arg(long, value_name = "HZ", default_value_t = 2.5)]
     pub(crate) rate: f64,
-    /// Length of the loop, in metres.
+    /// Course of the street: loop or open, as in `synth`.
+    #[arg(
+        long,
+        value_name = "ROUTE",
+        default_value = "loop",
+        value_parser = one_of(&[RouteKind::Loop, RouteKind::Open], RouteKind::name),
+        hide_possible_values = true
+    )]
+    pub(crate) route: RouteKind,
+    /// Length of the route, in metres.
     #[arg(long, value_name = "M", default_value_t = 160.0)]
     pub(crate) length: f64,
     /// Imperfections to simulate, as in `synth`.
@@ -1007,6 +1016,9 @@ pub(crate) struct Scenery {
     /// Image pairs to match, as in `match`.
     #[arg(long, value_name = "SELECTION", default_value = "sequential:6+ends")]
     pub(crate) pairs: PairSelection,
+    /// Compares the sparse clouds only.
+    #[arg(long)]
+    pub(crate) no_dense: bool,
 }
 
 #[derive(Debug, Args)]

@@ -127,17 +127,15 @@ pub fn extract(
     let is_there = database.metadata().is_ok_and(|found| found.len() > 0);
     let mut database = if is_there { open_to_add(database)? } else { Database::create(database)? };
     let existing = read_existing(&database)?;
-    let (pending, kept): (Vec<usize>, Vec<usize>) = chosen.into_iter().partition(|&index| {
+    let (pending, mut kept): (Vec<usize>, Vec<usize>) = chosen.into_iter().partition(|&index| {
         existing.get(folder.images()[index].name.as_str()).is_none_or(|found| !found.1)
     });
-    emit(
-        watch,
-        &Event::StageBegan {
-            stage: Stage::Features,
-            total: pending.len() + kept.len(),
-            done: kept.len(),
-        },
-    )?;
+    for (index, reason) in of_other_size(&database, &folder, &existing, &kept)? {
+        kept.retain(|other| *other != index);
+        skip(&folder.images()[index].name, &reason, watch)?;
+    }
+    let (total, done) = (pending.len() + kept.len(), kept.len());
+    emit(watch, &Event::StageBegan { stage: Stage::Features, total, done })?;
     let mut cameras = Cameras::new(&database, options)?;
     let infos: Vec<_> = pending.par_iter().map(|&index| folder.info(index)).collect();
     let mut tasks: Vec<Task> = Vec::new();
@@ -225,6 +223,32 @@ fn read_existing(database: &Database) -> Result<BTreeMap<String, (ImageId, bool)
     Ok(images
         .map(|(index, (image, count))| (image.name, (ImageId::from_index(index), count.is_some())))
         .collect())
+}
+
+/// The images whose features in the database are of another size, and what to do. Another image has
+/// taken the name.
+fn of_other_size(
+    database: &Database,
+    folder: &ImageFolder,
+    existing: &BTreeMap<String, (ImageId, bool)>,
+    kept: &[usize],
+) -> Result<Vec<(usize, String)>, Error> {
+    let (images, cameras) = (database.read_images()?, database.read_cameras()?);
+    let other = |&index: &usize| {
+        let name = &folder.images()[index].name;
+        let camera = &cameras[images[existing.get(name)?.0.index()].camera.index()];
+        let info = folder.info(index).ok()?;
+        let (is, was) = ((info.width, info.height), (camera.width, camera.height));
+        (is != was).then(|| {
+            let reason = format!(
+                "{name}: has {} x {} pixels, and the features of this name in the database are of \
+                {} x {}: give another --database_path",
+                is.0, is.1, was.0, was.1
+            );
+            (index, reason)
+        })
+    };
+    Ok(kept.par_iter().filter_map(other).collect())
 }
 
 /// An image to extract.

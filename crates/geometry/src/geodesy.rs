@@ -5,6 +5,8 @@
 //! the ellipsoid at its origin. Heights are above the ellipsoid; who has heights above the sea gets
 //! a frame that is higher or lower by the undulation of the geoid, at most 110 m.
 
+use std::f64::consts::TAU;
+
 use nalgebra::{Matrix3, Vector3};
 
 /// Semi-major axis of WGS 84, in metres (NGA.STND.0036).
@@ -174,9 +176,11 @@ impl UtmZone {
             sin = (isometric + e * (e * sin).atanh()).tanh();
         }
         let longitude = self.central_meridian_rad() + x.sinh().atan2(y.cos());
+        // The zones at the date line reach across it.
+        let turns = (longitude / TAU).round();
         Geodetic {
             latitude_deg: sin.asin().to_degrees(),
-            longitude_deg: longitude.to_degrees(),
+            longitude_deg: longitude.to_degrees() - 360.0 * turns,
             height_m: projected.z,
         }
     }
@@ -273,6 +277,8 @@ mod tests {
             assert!((found - expected).norm() < SERIES_M, "{code}: {found}");
             let back = zone.unproject(&found).to_ecef() - place.to_ecef();
             assert!(back.norm() < SERIES_M, "{code}: {back}");
+            let turned_deg = zone.unproject(&found).longitude_deg - longitude_deg;
+            assert!(turned_deg.abs() < 1.0, "{code}: from -180 to 180 across the date line, too");
         }
         for code in [4326, 32600, 32661, 32700, 32761] {
             assert_eq!(UtmZone::from_epsg(code), None);

@@ -5,8 +5,9 @@ use tiepoint_geometry::nalgebra::{Matrix3, Quaternion, Rotation3, UnitQuaternion
 /// A quaternion with a squared norm this close to 1 is not normalised, so that written quaternions
 /// keep all bits.
 const UNIT_TOLERANCE: f64 = 1e-12;
-/// Quaternions with a smaller norm are rejected.
-const MIN_QUATERNION_NORM: f64 = 1e-6;
+/// Norms of quaternions of three digits. Others are of columns in another order, as those of a
+/// translation.
+const QUATERNION_NORMS: std::ops::RangeInclusive<f64> = 0.99..=1.01;
 /// Largest Frobenius distance of a matrix to the nearest rotation: enough for matrices of three
 /// digits.
 const MAX_MATRIX_DEVIATION: f64 = 1e-2;
@@ -15,7 +16,7 @@ const MAX_MATRIX_DEVIATION: f64 = 1e-2;
 pub(crate) fn from_wxyz([w, x, y, z]: [f64; 4]) -> Result<UnitQuaternion<f64>, String> {
     let quaternion = Quaternion::new(w, x, y, z);
     let norm = quaternion.norm();
-    if !norm.is_finite() || norm < MIN_QUATERNION_NORM {
+    if !QUATERNION_NORMS.contains(&norm) {
         return Err(format!("a quaternion of norm {norm} is no rotation"));
     }
     if (norm * norm - 1.0).abs() < UNIT_TOLERANCE {

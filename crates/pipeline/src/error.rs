@@ -387,6 +387,16 @@ pub enum Error {
         /// The input folders.
         inputs: Vec<PathBuf>,
     },
+    /// A folder of photos of the workspace is no longer where it was.
+    #[error(
+        "{path} is no longer there, with the photos of this workspace: put it back, give its new \
+         place by `export.images` if the command has it, or give its new place and the workspace \
+         to `stage.features`, which keeps the results"
+    )]
+    MovedPhotos {
+        /// The folder.
+        path: PathBuf,
+    },
     /// Mapping cannot go on from a model.
     #[error("cannot go on from {path}: {cause}")]
     InputModel {

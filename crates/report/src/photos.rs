@@ -37,7 +37,8 @@ impl Thumbnails {
     /// a model: a page without photos is better than no page.
     pub fn of_workspace(workspace: &Path, model: &Reconstruction, max_bytes: usize) -> Self {
         let inputs = inputs_of(workspace).unwrap_or_default();
-        // The inputs of a workspace from elsewhere might name anybody's photos.
+        // The inputs of a workspace from elsewhere might name anybody's photos. Who made it does
+        // not have those.
         let known = fingerprints_of(workspace).unwrap_or_default();
         let Ok(folder) = ImageFolder::open(&inputs, None) else { return Self::default() };
         let listed = folder.images().iter().enumerate();
@@ -49,8 +50,7 @@ impl Thumbnails {
             .step_by(step)
             .filter_map(|(_, image, _)| {
                 let path = folder.path(*by_name.get(image.name.as_str())?);
-                let known = known.get(&image.name).map(|known| is_unchanged(path, known));
-                known.unwrap_or(true).then_some(())?;
+                is_unchanged(path, known.get(&image.name)?).then_some(())?;
                 Some((image, model.camera(image.camera), path))
             })
             .collect();

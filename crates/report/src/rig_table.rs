@@ -15,15 +15,27 @@ pub(super) fn rig_table(
 ) -> Option<Table> {
     let mut rows: Vec<TableRow> = Vec::new();
     let mut row = |name: &str, value: String| rows.push((name.to_owned(), vec![value]));
-    if let Some(RigReport { mode, extrinsics, .. }) = report {
+    if let Some(RigReport { mode, extrinsics, cameras, .. }) = report {
         row("asked for", mode.clone());
         if let Some(extrinsics) = extrinsics {
             let chosen = extrinsics.chosen.map_or("off", name_of);
             row("chosen", format!("{chosen}: {}", extrinsics.reason));
-            let sigmas = extrinsics.sigma_translation.zip(extrinsics.sigma_rotation_deg);
-            if let Some((translation, rotation_deg)) = sigmas {
+            if let Some(sd) = extrinsics.held_out_change_sd {
+                let change = extrinsics.held_out_error_px / extrinsics.held_out_error_off_px - 1.0;
+                let (change, sd) = (100.0 * change, 100.0 * sd);
+                row("error of held-out tracks", format!("{change:+.1} ± {sd:.1} %"));
+            }
+            for camera in cameras {
+                let sigmas = camera.sigma_translation.zip(camera.sigma_rotation_deg);
+                let Some((translation, rotation_deg)) = sigmas else { continue };
                 let percent = 100.0 * translation;
-                row("its sigmas", format!("{percent:.3} % of the baseline, {rotation_deg:.4}°"));
+                row(
+                    &format!("sigmas of {}", camera.names[1]),
+                    format!("{percent:.3} % of the baseline, {rotation_deg:.4}°"),
+                );
+            }
+            for camera in &extrinsics.unconstrained {
+                row(&format!("constraint of {camera}"), "none, others permit one".to_owned());
             }
         }
     }
@@ -101,7 +113,7 @@ pub(super) fn relative_poses(pairs: &[RigEvaluation], unit: &str) -> Option<Tabl
 
 #[cfg(test)]
 mod tests {
-    use tiepoint_pipeline::workspace::ExtrinsicsReport;
+    use tiepoint_pipeline::workspace::{ExtrinsicsReport, RigCameraReport};
 
     use super::*;
 
@@ -127,13 +139,22 @@ mod tests {
         let extrinsics = ExtrinsicsReport {
             chosen: Some(ConstraintKind::Soft),
             reason: "why".to_owned(),
+            held_out_error_off_px: 0.5,
+            held_out_error_px: 0.49,
+            held_out_change_sd: Some(0.004),
+            unconstrained: vec!["rear".to_owned()],
+            ..ExtrinsicsReport::default()
+        };
+        let of_right = RigCameraReport {
+            names: ["left".to_owned(), "right".to_owned()],
             sigma_translation: Some(0.0001),
             sigma_rotation_deg: Some(0.0006),
-            ..ExtrinsicsReport::default()
+            ..RigCameraReport::default()
         };
         let report = RigReport {
             mode: "auto".to_owned(),
             extrinsics: Some(extrinsics),
+            cameras: vec![of_right],
             ..RigReport::default()
         };
         let table = rig_table(Some(&report), Some(&rig), "m").unwrap();
@@ -144,7 +165,9 @@ mod tests {
             [
                 "asked for: auto",
                 "chosen: soft: why",
-                "its sigmas: 0.010 % of the baseline, 0.0006°",
+                "error of held-out tracks: -2.0 ± 0.4 %",
+                "sigmas of right: 0.010 % of the baseline, 0.0006°",
+                "constraint of rear: none, others permit one",
                 "baseline left – right: 0.5000 ± 0.0123 m",
                 "centre of right in left: (0.3000, 0.0000, 0.4000) m",
                 "rotation of right: 90.000 °, undetermined by the images",

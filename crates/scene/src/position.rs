@@ -54,8 +54,14 @@ impl Place {
                 }
                 Ok(())
             }
-            Self::Cartesian(xyz) if xyz.iter().all(|value| value.is_finite()) => Ok(()),
-            Self::Cartesian(_) => Err("a coordinate is not a number".to_owned()),
+            Self::Cartesian(xyz) => match xyz.iter().find(|value| !WIDTHS_M.contains(*value)) {
+                Some(value) => Err(format!(
+                    "the coordinate {value} is not from {} to {}",
+                    WIDTHS_M.start(),
+                    WIDTHS_M.end()
+                )),
+                None => Ok(()),
+            },
         }
     }
 
@@ -65,6 +71,10 @@ impl Place {
     }
 }
 
+/// Projections of the whole earth have coordinates of up to 20 000 km, and its centre is 6400 km
+/// away: beyond five times as much it is no place on it.
+const WIDTHS_M: std::ops::RangeInclusive<f64> = -1e8..=1e8;
+
 /// From the deepest place of the sea to beyond satellites in low orbits.
 const ALTITUDES_M: std::ops::RangeInclusive<f64> = -12_000.0..=2_000_000.0;
 
@@ -72,7 +82,12 @@ const ALTITUDES_M: std::ops::RangeInclusive<f64> = -12_000.0..=2_000_000.0;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Georeference {
     /// East, north and up of WGS 84 at an origin.
-    Enu(LocalFrame),
+    Enu {
+        /// The frame.
+        frame: LocalFrame,
+        /// Whether the height of the origin is known; else it is 0.
+        has_height: bool,
+    },
     /// A Cartesian frame, whose coordinates are those of the model plus `offset`.
     Cartesian {
         /// The model's origin in the measured frame.
@@ -114,19 +129,23 @@ impl Georeference {
             let from_first = (place[1] - first_deg + 180.0).rem_euclid(360.0) - 180.0;
             first_deg + from_first
         };
+        let height_m = middle(&|place| place[2]);
         let origin = Geodetic {
             latitude_deg: middle(&|place| place[0])?,
             longitude_deg: (middle(&longitude_deg)? + 180.0).rem_euclid(360.0) - 180.0,
-            height_m: middle(&|place| place[2]).unwrap_or(0.0),
+            height_m: height_m.unwrap_or(0.0),
         };
-        Some(Self::Enu(LocalFrame::new(origin)))
+        Some(Self::Enu { frame: LocalFrame::new(origin), has_height: height_m.is_some() })
     }
 
     /// A place in this frame. Without an altitude it is at that of the origin. `None` for a place
     /// of the other kind.
     pub fn to_local(&self, place: &Place) -> Option<Vector3<f64>> {
         match (self, *place) {
-            (Self::Enu(frame), Place::Geodetic { latitude_deg, longitude_deg, altitude_m }) => {
+            (
+                Self::Enu { frame, .. },
+                Place::Geodetic { latitude_deg, longitude_deg, altitude_m },
+            ) => {
                 let height_m = altitude_m.unwrap_or(frame.origin().height_m);
                 Some(frame.to_local(&Geodetic { latitude_deg, longitude_deg, height_m }))
             }
@@ -153,7 +172,9 @@ mod tests {
             (geodetic(f64::NAN, 35.7, None), "the latitude NaN"),
             (geodetic(1.0, 361.0, None), "the longitude 361 is not from -180 to 360"),
             (geodetic(1.0, 2.0, Some(1e9)), "the altitude 1000000000"),
-            (Place::Cartesian(Vector3::new(0.0, f64::INFINITY, 0.0)), "not a number"),
+            (Place::Cartesian(Vector3::new(0.0, f64::INFINITY, 0.0)), "the coordinate inf"),
+            (Place::Cartesian(Vector3::new(f64::NAN, 0.0, 0.0)), "the coordinate NaN"),
+            (Place::Cartesian(Vector3::new(0.0, 0.0, -1.1e8)), "the coordinate -110000000"),
         ] {
             let found = place.validate().unwrap_err();
             assert!(found.contains(part), "{found}");
@@ -182,6 +203,7 @@ mod tests {
         // Without altitudes, all are level.
         let level = [geodetic(50.0, 8.0, None), geodetic(50.0, 8.001, None)];
         let frame = Georeference::near(&level).unwrap();
+        assert!(matches!(frame, Georeference::Enu { has_height: false, .. }), "{frame:?}");
         let [a, b] = level.map(|place| frame.to_local(&place).unwrap());
         assert!((a - b).xy().norm() > 70.0 && (a.z - b.z).abs() < 1e-3, "{a} {b}");
     }

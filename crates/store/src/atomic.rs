@@ -13,9 +13,9 @@ const OPEN_FILE_FOLDERS: [&str; 4] = ["/dev/fd", "/dev/stdin", "/dev/stdout", "/
 
 /// A file that gets its name in [`AtomicFile::commit`]; dropped earlier, it leaves nothing behind.
 ///
-/// Symbolic links are followed. A file that replaces another takes over its mode and, if the system
-/// permits it, its owner. Devices and pipes are written directly. A temporary file of a killed run
-/// is removed.
+/// Symbolic links to files are followed. A file that replaces another takes over its mode and, if
+/// the system permits it, its owner. Devices and pipes are written directly. A temporary file of a
+/// killed run is removed.
 #[derive(Debug)]
 pub struct AtomicFile {
     /// The path as the caller gave it.
@@ -49,7 +49,7 @@ impl AtomicFile {
             return Err(Error::content(&path, "is not the name of a file"));
         }
         let target = end_of_links(&path).map_err(Error::io(&path))?;
-        let old_metadata = match fs::metadata(&target) {
+        let old_metadata = match fs::metadata(&path) {
             Ok(found) => Some(found),
             Err(cause) if cause.kind() == io::ErrorKind::NotFound => None,
             Err(cause) => return Err(Error::Io { path, cause }),
@@ -250,14 +250,14 @@ mod tests {
         assert!(fs::symlink_metadata(&link).unwrap().is_symlink());
         assert_eq!(fs::read(&file).unwrap(), b"new");
         assert_eq!(owner(&file), old_metadata);
-        // A link to a file that does not exist yet, and links that form a cycle.
+        // A link to a file that does not exist, and links that form a cycle.
         symlink("later", dir.path().join("early")).unwrap();
-        write(&dir.path().join("early"), "now").unwrap();
-        assert_eq!(fs::read(dir.path().join("later")).unwrap(), b"now");
+        let refused = write(&dir.path().join("early"), "now").unwrap_err().to_string();
+        assert!(refused.contains("early: is a symbolic link to nothing"), "{refused}");
         symlink("b", dir.path().join("a")).unwrap();
         symlink("a", dir.path().join("b")).unwrap();
         assert!(write(&dir.path().join("a"), "").unwrap_err().to_string().contains("each other"));
-        assert_eq!(names(dir.path()), ["a", "b", "early", "file", "later", "link"]);
+        assert_eq!(names(dir.path()), ["a", "b", "early", "file", "link"]);
     }
 
     #[test]
@@ -278,6 +278,15 @@ mod tests {
         write(&pipe, "through").unwrap();
         assert_eq!(reader.join().unwrap(), b"through");
         assert_eq!(names(dir.path()), ["pipe"]);
+        #[cfg(target_os = "linux")]
+        {
+            // As /dev/stdout before `|`. The link names no path: `pipe:[123]`.
+            let (mut reader, writer) = io::pipe().unwrap();
+            let fd = std::os::fd::AsRawFd::as_raw_fd(&writer);
+            write(&PathBuf::from(format!("/proc/self/fd/{fd}")), "on").unwrap();
+            drop(writer);
+            assert_eq!(io::read_to_string(&mut reader).unwrap(), "on");
+        }
         assert!(write(dir.path(), "").unwrap_err().to_string().contains("is a folder"));
     }
 

@@ -80,6 +80,15 @@ pub enum Error {
         /// The link.
         path: PathBuf,
     },
+    /// A file that the user permits to replace is a symbolic link.
+    #[error(
+        "{path} is a symbolic link, and `output.overwrite` does not write through it: name the \
+        file that it leads to, or remove the link"
+    )]
+    NamedLink {
+        /// The link.
+        path: PathBuf,
+    },
     /// The result would overwrite an input.
     #[error(
         "{path} is read by this command, so the result cannot be written there: choose another \

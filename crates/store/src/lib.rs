@@ -7,6 +7,7 @@ mod manifest;
 mod named_file;
 mod output_folder;
 mod regular_file;
+mod run_state;
 
 pub use atomic::AtomicFile;
 pub use error::{Error, Result};

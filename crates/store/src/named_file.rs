@@ -64,7 +64,7 @@ pub fn write_file<'a, E: From<Error>>(
     let is_device = || fs::metadata(path).is_ok_and(|found| !found.is_file());
     if replace == Replace::Anything && path.is_symlink() && !is_device() {
         // The user named the link, and maybe somebody else chose where it leads.
-        return Err(Error::LinkInFolder { path: path.to_owned() }.into());
+        return Err(Error::NamedLink { path: path.to_owned() }.into());
     }
     if may_be_replaced(path, replace)? {
         return write(path);
@@ -152,11 +152,11 @@ mod tests {
             fs::rename(&path, &theirs).unwrap();
             std::os::unix::fs::symlink(&theirs, &path).unwrap();
             let through_link = put("more", &[], Replace::Anything);
-            assert!(matches!(through_link, Err(Error::LinkInFolder { .. })));
+            assert!(matches!(through_link, Err(Error::NamedLink { .. })));
             assert_eq!(fs::read(&theirs).unwrap(), b"any");
             fs::remove_file(&theirs).unwrap();
             let through_link = put("more", &[], Replace::Anything);
-            assert!(matches!(through_link, Err(Error::LinkInFolder { .. })));
+            assert!(matches!(through_link, Err(Error::NamedLink { .. })));
             assert!(!theirs.exists());
         }
     }

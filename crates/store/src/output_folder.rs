@@ -36,7 +36,7 @@ const BUFFER_BYTES: usize = 1 << 16;
 /// An output folder, locked by this process.
 #[derive(Debug)]
 pub struct OutputFolder {
-    root: Folder,
+    pub(crate) root: Folder,
     manifest: Manifest,
     /// Files that the command reads.
     inputs: BTreeSet<FileId>,

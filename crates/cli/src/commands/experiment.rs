@@ -24,8 +24,10 @@ fn scenery(args: &args::Scenery) -> Scenery {
         size: [args.size.width, args.size.height],
         seed: args.seed,
         rate_hz: args.rate,
+        route: args.route,
         length_m: args.length,
         effects: args.effects,
         pairs: args.pairs,
+        has_dense_clouds: !args.no_dense,
     }
 }

@@ -1,8 +1,11 @@
 //! `export`.
 
+use std::path::Path;
+
 use tiepoint_pipeline::models::{
     ExportSource, Exported, export as export_model, export_detected, export_rigid,
 };
+use tiepoint_pipeline::store::disk::FileId;
 
 use crate::args::Export;
 use crate::failure::Failure;
@@ -24,6 +27,11 @@ pub(crate) fn export(args: &Export, output: &Output) -> Result<(), Failure> {
 }
 
 fn describe(exported: &Exported) -> String {
+    let stdout = FileId::of(Path::new("/dev/stdout"));
+    if stdout.is_some() && FileId::of(&exported.path) == stdout {
+        // Its reader wants the file alone.
+        return String::new();
+    }
     let rigid = exported.rigid.as_ref().map_or_else(String::new, summary::rigid);
     let in_place = match exported.photos_in_place {
         0 => String::new(),

@@ -472,3 +472,27 @@ fn databases_are_created_once_and_other_verbs_name_what_serves_instead() {
     colmap(dir, "poisson_mesher").failed(1, &["no poisson_mesher", "fused.ply"]);
     colmap(dir, "mapperr").failed(1, &["no command mapperr", "colmap help"]);
 }
+
+#[test]
+fn features_of_a_photo_that_has_another_size_now_are_not_taken_for_its_own() {
+    let dir = tempfile::tempdir().unwrap();
+    let dir = dir.path();
+    photos::write(&dir.join("photos"), 2, 0);
+    let line = "feature_extractor --database_path {}/x.db --image_path {}/photos";
+    colmap(dir, line).done();
+    let again = colmap(dir, line).done();
+    assert!(
+        again.stdout().contains("2 images had features before, 0 skipped"),
+        "{}",
+        again.stdout()
+    );
+    image::RgbImage::new(64, 48).save(dir.join("photos/1.png")).unwrap();
+    let again = colmap(dir, line).done();
+    assert!(
+        again.stdout().contains("1 images had features before, 1 skipped"),
+        "{}",
+        again.stdout()
+    );
+    let said = again.stderr();
+    assert!(said.contains("1.png: has 64 x 48 pixels, and the features of this name"), "{said}");
+}

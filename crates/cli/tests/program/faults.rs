@@ -3,6 +3,8 @@
 //! the same result. With `TIEPOINT_ALL_FAULTS` every operation is tested; `bench/durability.py`
 //! does that, and also kills the program from outside.
 
+mod checkpoints;
+
 use std::collections::BTreeMap;
 use std::fs;
 use std::ops::ControlFlow;

@@ -44,6 +44,40 @@ fn a_photo_that_claims_two_hundred_megapixels_is_skipped() {
     assert!(run.stdout().contains("4 images"), "{}", run.stdout());
 }
 
+/// XMP data as attributes and as elements; the property of another program; a photo twice.
+#[test]
+fn panoramas_and_copies_are_named() {
+    let dir = tempfile::tempdir().unwrap();
+    let folder = dir.path().join("photos");
+    photos::write(&folder, 2, 0);
+    let plain = jpeg(2);
+    let texts = [
+        "<rdf:Description GPano:ProjectionType=\"equirectangular\"/>",
+        "<GPano:ProjectionType>cylindrical</GPano:ProjectionType>",
+        "<Other:ProjectionType>flat</Other:ProjectionType>",
+    ];
+    for (name, text) in ["p0.jpg", "p1.jpg", "q.jpg"].iter().zip(texts) {
+        let xmp = [b"http://ns.adobe.com/xap/1.0/\0".as_slice(), text.as_bytes()].concat();
+        let length = (2 + xmp.len() as u16).to_be_bytes();
+        let photo = [&plain[..2], &[0xFF, 0xE1], &length, &xmp, &plain[2..]].concat();
+        fs::write(folder.join(name), photo).unwrap();
+    }
+    fs::write(folder.join("0.jpg"), jpeg(0)).unwrap();
+    fs::copy(folder.join("1.png"), folder.join("z.png")).unwrap();
+    let run = tiepoint_in(dir.path(), "features {}/photos -o {}/ws").done();
+    let said = run.stderr();
+    for part in [
+        "2 photos say that they are panoramas, which have no lens: p0.jpg, p1.jpg; give \
+         --camera-model EQUIRECTANGULAR",
+        "1 photos are there twice, and add nothing: 1.png and z.png; keep one",
+        "1 photos are there twice by their names, and add nothing: 0.jpg and 0.png; keep one",
+    ] {
+        assert!(said.contains(part), "{part}: {said}");
+    }
+    let line = "features {}/photos -o {}/w2 --camera-model EQUIRECTANGULAR";
+    assert!(!tiepoint_in(dir.path(), line).done().stderr().contains("panoramas"));
+}
+
 #[test]
 fn the_limit_on_pixels_is_an_option_that_is_remembered() {
     let dir = tempfile::tempdir().unwrap();

@@ -270,7 +270,13 @@ fn page_shows_and_follows_no_links() {
     scene.link("home/id_rsa", "rig.json");
     tiepoint_in(scene.dir(), "view {}/hostile").done();
     let page = fs::read_to_string(scene.hostile("report.html")).unwrap();
-    assert!(!page.contains("secret"));
+    assert!(!page.contains("secret") && page.contains("/9j/"), "a JPEG file in base 64");
+    // Who sends a workspace knows where photos may lie, and not what they show.
+    let database = rusqlite::Connection::open(scene.hostile("database.db")).unwrap();
+    database.execute("DELETE FROM tiepoint_photos", ()).unwrap();
+    database.close().unwrap();
+    tiepoint_in(scene.dir(), "view {}/hostile").done();
+    assert!(!fs::read_to_string(scene.hostile("report.html")).unwrap().contains("/9j/"));
     scene.link("home/page.html", "report.html");
     tiepoint_in(scene.dir(), "view {}/hostile").failed(1, &["report.html", "is a symbolic link"]);
     assert!(!scene.dir().join("home/page.html").exists());

@@ -1,5 +1,6 @@
 //! `model info`, `transform`, `align`, `crop` and `merge`.
 
+use std::f64::consts::FRAC_PI_2;
 use std::fs;
 use std::path::Path;
 
@@ -241,6 +242,31 @@ fn alignment_to_places_on_the_earth_gives_east_north_up() {
     tiepoint_in(dir, line).failed(1, &["p.csv: line 1", "must be"]);
     fs::write(dir.join("p.csv"), "image,lat,lon,alt\nleft/0 a.png,139.7,35.6,0\n").unwrap();
     tiepoint_in(dir, line).failed(1, &["p.csv: line 2", "latitude comes before longitude"]);
+}
+
+/// A flat path fits its mirror image, after which the photos are upside down.
+#[test]
+fn alignment_to_swapped_coordinates_is_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let dir = dir.path();
+    let mut model = Reconstruction::default();
+    let camera = model.add_camera(*scene().camera_of(ImageId(0)));
+    let [mut right, mut swapped] = [String::from("image,x,y,z\n"), String::from("image,x,y,z\n")];
+    // The optical axis is along y, and z is up.
+    let rotation = so3::exp(&(FRAC_PI_2 * Vector3::x()));
+    for k in 0..8 {
+        let centre = Vector3::new(f64::from(k), f64::from(k * k) / 10.0, 0.0);
+        let id = model.add_image(Image::new(format!("{k}.png"), camera, Vec::new()));
+        model.register(id, Rigid3::new(rotation, -(rotation * centre)));
+        right += &format!("{k}.png,{},{},0\n", centre.x, centre.y);
+        swapped += &format!("{k}.png,{},{},0\n", centre.y, centre.x);
+    }
+    write(dir, "a", &model);
+    let line = "model align {}/a --positions {}/p.csv --max-error 0.1 -o {}/b";
+    fs::write(dir.join("p.csv"), right).unwrap();
+    tiepoint_in(dir, line).done();
+    fs::write(dir.join("p.csv"), swapped).unwrap();
+    tiepoint_in(dir, line).failed(1, &["upside down: are two coordinates swapped?"]);
 }
 
 #[test]

@@ -54,6 +54,10 @@ fn special_files_and_invalid_names_are_skipped() {
 
     let run = tiepoint_in(dir.path(), "features {}/photos -o {}/ws").done();
     let said = run.stderr();
+    let (copies, said): (Vec<&str>, Vec<&str>) =
+        said.lines().partition(|line| line.contains("there twice"));
+    assert!(copies.len() == 1 && copies[0].contains("0.png and in between.png"), "{copies:?}");
+    let said = said.join("\n");
     assert_eq!(said.lines().count(), expected.len(), "{said}");
     assert!(said.chars().all(|c| c == '\n' || !c.is_control()), "{said:?}");
     for (name, reason) in &expected {
@@ -74,6 +78,25 @@ fn special_files_and_invalid_names_are_skipped() {
     names.sort_unstable();
     expected.sort_unstable();
     assert_eq!(names, expected.iter().map(|(name, _)| *name).collect::<Vec<_>>());
+}
+
+/// File systems allow 255 bytes, and a depth map adds 14.
+#[test]
+fn names_too_long_for_depth_maps_are_refused_before_the_work() {
+    let dir = tempfile::tempdir().unwrap();
+    let folder = dir.path().join("photos");
+    photos::write(&folder, 4, 0);
+    for length in [242, 241] {
+        let name = "n".repeat(length - 5) + "0.png";
+        let from = fs::read_dir(&folder).unwrap().map(|entry| entry.unwrap().path()).max();
+        fs::rename(from.unwrap(), folder.join(name)).unwrap();
+        let line = "reconstruct {}/photos -o {}/ws --redo features --dense";
+        let run = tiepoint_in(dir.path(), line);
+        match length {
+            242 => _ = run.failed(1, &["its name is too long", "to at most 241 bytes"]),
+            _ => _ = run.done(),
+        }
+    }
 }
 
 #[test]

@@ -70,6 +70,12 @@ fn photos_stay_where_an_export_would_put_its_images() {
     }
     let now = files(&dir.join("theirs"));
     assert!(theirs.iter().all(|(path, bytes)| now.get(path) == Some(bytes)));
+
+    fs::rename(dir.join("proj"), dir.join("moved")).unwrap();
+    tiepoint_in(dir, "undistort {}/ws -o {}/u")
+        .failed(1, &["proj/images is no longer there", "--images", "`tiepoint features`"]);
+    tiepoint_in(dir, "features {}/moved/images -o {}/ws").done();
+    tiepoint_in(dir, "undistort {}/ws -o {}/u").done();
 }
 
 #[test]
@@ -451,6 +457,9 @@ fn devices_links_and_modes_stay_what_they_are() {
     tiepoint_in(dir, "export {}/ws --to ply -o /dev/full").failed(1, &["/dev/full", "No space"]);
     fs::create_dir(dir.join("deep")).unwrap();
     symlink("deep/real.ply", dir.join("link.ply")).unwrap();
+    tiepoint_in(dir, "export {}/ws --to ply -o {}/link.ply")
+        .failed(1, &["link.ply", "symbolic link to nothing"]);
+    fs::write(dir.join("deep/real.ply"), "").unwrap();
     for _ in 0..2 {
         tiepoint_in(dir, "export {}/ws --to ply -o {}/link.ply").done();
         assert!(fs::symlink_metadata(dir.join("link.ply")).unwrap().is_symlink());
@@ -458,6 +467,12 @@ fn devices_links_and_modes_stay_what_they_are() {
     }
     let mode = fs::metadata(dir.join("deep/real.ply")).unwrap().mode();
     assert_eq!(mode & 0o777, 0o600);
+    // What reads the pipe gets the file alone.
+    let piped = tiepoint_in(dir, "export {}/ws --to kitti -o /dev/stdout").done();
+    fs::write(dir.join("piped.txt"), piped.stdout()).unwrap();
+    tiepoint_in(dir, "export {}/ws --to kitti -o {}/file.txt").done();
+    let read = |name: &str| fs::read(dir.join(name)).unwrap();
+    assert!(read("piped.txt") == read("file.txt"), "{}", piped.stdout());
 }
 
 #[test]

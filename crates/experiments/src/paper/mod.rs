@@ -1,12 +1,12 @@
 //! Experiments I and II of Huang, Elhashash & Qin 2022 on rendered images with ground
 //! truth.
 //!
-//! The vehicle drives a loop whose end overlaps its beginning. Experiment I (`mounting`): one
-//! camera that looks to the front, right, rear and left in turn. Experiment II (`baseline`): two
-//! cameras that look to the right, reconstructed with and without a rig constraint. As in the
-//! paper, the error is the distance of the dense cloud to a laser scan after registration; a camera
-//! that looks to one side is compared with the scan of that side. The tables also have the
-//! distances of the sparse cloud, those with the true cameras, and trajectory errors.
+//! The vehicle drives a loop whose end overlaps its beginning, or an open route. Experiment I
+//! (`mounting`): one camera that looks to the front, right, rear and left in turn. Experiment II
+//! (`baseline`): two cameras that look to the right, reconstructed with and without a rig
+//! constraint. As in the paper, the error is the distance of the dense cloud to a laser scan after
+//! registration; a camera that looks to one side is compared with the scan of that side. The tables
+//! also have the distances of the sparse cloud, those with the true cameras, and trajectory errors.
 //!
 //! Each drive and each reconstruction has a folder of its own. Complete ones are not computed
 //! again.
@@ -25,7 +25,7 @@ use serde::Serialize;
 use tiepoint_pipeline::sfm::RigMode;
 use tiepoint_pipeline::{Report, Workspace};
 use tiepoint_report::{ReportModel, ReportSection, Table, Thumbnails, report_html};
-use tiepoint_synth::{Drive, DriveOptions, Mount, RouteKind, ViewDirection};
+use tiepoint_synth::{Drive, DriveOptions, Mount, ViewDirection};
 
 use crate::drive_evaluation::{camera_errors, read_drive_model};
 use crate::drive_folder::{BASELINE_M, Plan, claim};
@@ -151,10 +151,10 @@ pub fn constraints(
 }
 
 fn plan(scenery: &Scenery, folder: PathBuf, mounts: Vec<Mount>) -> Result<Plan, Error> {
-    let Scenery { frames, size, seed, rate_hz, length_m, effects, .. } = scenery;
+    let Scenery { frames, size, seed, rate_hz, route, length_m, effects, .. } = scenery;
     let options = DriveOptions {
         seed: *seed,
-        route: RouteKind::Loop,
+        route: *route,
         length_m: *length_m,
         mounts,
         width: size[0],
@@ -177,7 +177,10 @@ fn begin(scenery: &Scenery, folder: &Path, plan: &Plan) -> Result<(), Error> {
     }
     // Rejects impossible options before anything is written.
     plan.drive()?;
-    claim(folder, RECORD, &format!("{}pairs {}\n", plan.record(), scenery.pairs), "an experiment")
+    // A row without dense clouds is not completed later.
+    let clouds = if scenery.has_dense_clouds { "" } else { "sparse clouds only\n" };
+    let record = format!("{}pairs {}\n{clouds}", plan.record(), scenery.pairs);
+    claim(folder, RECORD, &record, "an experiment")
 }
 
 /// Writes tables.md and report.html.

@@ -220,7 +220,9 @@ impl Task<'_> {
         scan: Option<&Cloud>,
         progress: &mut dyn Progress,
     ) -> Result<[Option<DenseCloud>; 2], Error> {
-        let Some(scan) = scan else { return Ok([None, None]) };
+        let Some(scan) = scan.filter(|_| self.scenery.has_dense_clouds) else {
+            return Ok([None, None]);
+        };
         let mut comparison = Comparison {
             scan,
             world_from_model: evaluation.poses.truth_from_model,

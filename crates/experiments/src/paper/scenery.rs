@@ -2,7 +2,7 @@ use std::num::NonZeroUsize;
 use std::path::PathBuf;
 
 use tiepoint_pipeline::sfm::matching::PairSelection;
-use tiepoint_synth::Effects;
+use tiepoint_synth::{Effects, RouteKind};
 
 /// The street and the drive of an experiment.
 #[derive(Clone, Debug)]
@@ -17,10 +17,14 @@ pub struct Scenery {
     pub seed: u64,
     /// Images per second of each camera.
     pub rate_hz: f64,
-    /// Length of the loop, in metres.
+    /// Course of the street.
+    pub route: RouteKind,
+    /// Length of the route, in metres.
     pub length_m: f64,
     /// Imperfections to simulate.
     pub effects: Effects,
     /// Image pairs to match.
     pub pairs: PairSelection,
+    /// Whether dense clouds are made and compared, too.
+    pub has_dense_clouds: bool,
 }

@@ -1,10 +1,12 @@
 //! The input photos of a workspace.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
+use tiepoint_geometry::CameraModelKind;
+use tiepoint_scene::Camera;
 use tiepoint_store::escaped;
 
 use super::calibration::Calibrations;
@@ -139,6 +141,56 @@ impl Photos {
             ))
         });
         notes.collect()
+    }
+
+    /// Names the photos that say that they are panoramas and have a camera of another model.
+    pub fn note_on_panoramas(&self, photos: &[Photo], cameras: &[Camera]) -> Option<String> {
+        let is_flat = |photo: &&Photo| {
+            photo.info.exif.is_panorama
+                && cameras[photo.camera].intrinsics.kind() != CameraModelKind::Equirectangular
+        };
+        let names: Vec<&str> =
+            photos.iter().filter(is_flat).map(|photo| self.name(photo)).collect();
+        let shown = first_names(&names);
+        (!names.is_empty()).then(|| {
+            format!(
+                "{} photos say that they are panoramas, which have no lens: {shown}; give \
+                `features.camera_model` EQUIRECTANGULAR if all photos are panoramas all around, \
+                and take them out of the folder if not",
+                names.len()
+            )
+        })
+    }
+
+    /// Names the photos that are in the folder twice: the same bytes, or names that differ in their
+    /// extension alone.
+    pub fn notes_on_copies(&self, photos: &[Photo]) -> Vec<String> {
+        let mut by_content: BTreeMap<String, Vec<&str>> = BTreeMap::new();
+        for (name, fingerprint) in self.fingerprints(photos) {
+            by_content.entry(fingerprint).or_default().push(name);
+        }
+        let mut by_stem: BTreeMap<(PathBuf, u32, u32), Vec<&str>> = BTreeMap::new();
+        for photo in photos {
+            let name = self.name(photo);
+            let key = (Path::new(name).with_extension(""), photo.info.width, photo.info.height);
+            by_stem.entry(key).or_default().push(name);
+        }
+        let pairs = |groups: Vec<Vec<&str>>, what: &str| {
+            let mut pairs: Vec<String> = groups
+                .into_iter()
+                .filter(|names| names.len() > 1)
+                .map(|names| format!("{} and {}", names[0], names[1]))
+                .collect();
+            pairs.sort_unstable();
+            let shown = first_names(&pairs.iter().map(String::as_str).collect::<Vec<_>>());
+            let count = pairs.len();
+            (count > 0).then(|| {
+                format!("{count} photos are there twice{what}, and add nothing: {shown}; keep one")
+            })
+        };
+        let same = pairs(by_content.into_values().collect(), "");
+        let of_one_name = pairs(by_stem.into_values().collect(), " by their names");
+        same.into_iter().chain(of_one_name).collect()
     }
 
     /// Reads the headers of all photos, and returns usable and skipped ones.

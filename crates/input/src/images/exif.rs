@@ -9,6 +9,8 @@ use tiepoint_scene::Position;
 
 use super::place::{add_rtk_deviations, position_of};
 
+use super::jpeg;
+
 /// Diagonal of 35 mm film (36 mm × 24 mm), in millimetres: the "35 mm equivalent" focal length
 /// gives the same diagonal angle of view (CIPA DCG-001).
 const FILM_DIAGONAL_MM: f64 = 43.266_615;
@@ -17,6 +19,9 @@ const FILM_DIAGONAL_MM: f64 = 43.266_615;
 /// photographers have 0.2 (8 mm on 36 mm), the longest zooms of compact cameras 83 (3000 mm, Nikon
 /// P1000).
 const FOCAL_RANGE: std::ops::RangeInclusive<f64> = 0.1..=150.0;
+
+/// Value of `CustomRendered` in the panoramas of Apple's phones; the standard has 0 and 1.
+const APPLE_PANORAMA: u32 = 6;
 
 /// Longest name of a body or lens that is kept, in bytes; of a longer one the beginning.
 const MAX_NAME_BYTES: usize = 128;
@@ -56,6 +61,8 @@ pub struct Exif {
     /// `DateTimeOriginal`, `DateTimeDigitized` and `DateTime` that is a date, with the fraction of
     /// a second that stands in it, or else in the field `SubSecTime…` of the same name.
     pub time_s: Option<f64>,
+    /// Whether the photo says that it is a panorama, in XMP or as Apple's phones do.
+    pub is_panorama: bool,
     /// Body and lens.
     pub device: Device,
     /// Where the photo was taken: WGS 84, of a receiver with a fix. The deviation is that of
@@ -73,6 +80,7 @@ impl Default for Exif {
             long_side_px: None,
             orientation: 1,
             time_s: None,
+            is_panorama: false,
             device: Device::default(),
             position: None,
         }
@@ -80,19 +88,22 @@ impl Default for Exif {
 }
 
 impl Exif {
-    /// Reads the EXIF data of a JPEG, PNG, TIFF or WebP file. Missing and invalid fields are left
-    /// out.
+    /// Reads the EXIF data of a JPEG, PNG, TIFF or WebP file, and of a JPEG file whether XMP names
+    /// a panorama. Missing and invalid fields are left out.
     ///
     /// # Errors
     ///
     /// If the file cannot be opened.
     pub fn read(path: &Path) -> Result<Self> {
         let file = std::fs::File::open(path).map_err(Error::io(path))?;
-        let mut this = Self::from_reader(&mut std::io::BufReader::new(file));
-        if let Some(position) = &mut this.position {
+        let mut reader = std::io::BufReader::new(file);
+        let mut exif = Self::from_reader(&mut reader);
+        reader.rewind().map_err(Error::io(path))?;
+        let is_panorama = exif.is_panorama || jpeg::is_panorama(&mut reader);
+        if let Some(position) = &mut exif.position {
             add_rtk_deviations(position, path);
         }
-        Ok(this)
+        Ok(Self { is_panorama, ..exif })
     }
 
     pub(crate) fn from_bytes(bytes: &[u8]) -> Self {
@@ -145,6 +156,7 @@ impl Exif {
             long_side_px: sides[0].zip(sides[1]).map(|(x, y)| x.max(y)),
             orientation: orientation as u8,
             time_s,
+            is_panorama: integer(Tag::CustomRendered) == Some(APPLE_PANORAMA),
             device: Device {
                 make: name(Tag::Make),
                 model: name(Tag::Model),

@@ -187,6 +187,35 @@ pub(crate) fn frame(reader: &mut (impl BufRead + Seek)) -> Option<Frame> {
     None
 }
 
+/// Begins an XMP packet in the segment of an application (XMP specification, part 3, 1.1.3).
+const XMP: &[u8] = b"http://ns.adobe.com/xap/1.0/\0";
+
+/// Whether the XMP data name a projection of a panorama, as an attribute or as an element (Photo
+/// Sphere XMP metadata of Google, `GPano`).
+pub(crate) fn is_panorama(reader: &mut (impl BufRead + Seek)) -> bool {
+    let mut start = [0; 2];
+    if reader.read_exact(&mut start).is_err() || start != [0xFF, 0xD8] {
+        return false;
+    }
+    let projection = b"GPano:ProjectionType";
+    while let Some((marker, length)) = next_segment(reader) {
+        if marker == START_OF_SCAN {
+            break;
+        }
+        let mut content = vec![0; usize::from(length)];
+        if reader.read_exact(&mut content).is_err() {
+            break;
+        }
+        if marker == 0xE1
+            && content.starts_with(XMP)
+            && content.windows(projection.len()).any(|text| text == projection)
+        {
+            return true;
+        }
+    }
+    false
+}
+
 /// Marker and length of the next segment; the reader is then at the content of the segment.
 fn next_segment(reader: &mut (impl BufRead + Seek)) -> Option<(u8, u16)> {
     let mut byte = [0];

@@ -28,8 +28,8 @@ impl Database {
     }
 
     /// Creates a database under a temporary name, lets `fill` write its first content, and renames
-    /// it to `path`, replacing the database there. The folder must exist; symbolic links are
-    /// followed. A temporary database of a killed run is removed.
+    /// it to `path`, replacing the database there. The folder must exist; symbolic links to files
+    /// are followed. A temporary database of a killed run is removed.
     ///
     /// # Errors
     ///

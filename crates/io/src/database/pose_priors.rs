@@ -1,6 +1,7 @@
 //! Measured positions of images, as COLMAP's feature extractor writes them from EXIF.
 
 use rusqlite::params;
+use rusqlite::types::ValueRef;
 use tiepoint_geometry::nalgebra::Vector3;
 use tiepoint_scene::{ImageId, Place, Position};
 
@@ -14,7 +15,8 @@ const CARTESIAN: i64 = 1;
 impl Database {
     /// Reads the table `pose_priors`: latitude, longitude and altitude, or coordinates, with the
     /// deviations of their covariances in metres. Rows without a position, or with one that is
-    /// impossible or of an unknown frame, are left out; gravity is not read.
+    /// impossible or of an unknown frame, or with cells of other types, are left out; gravity is
+    /// not read.
     ///
     /// # Errors
     ///
@@ -22,26 +24,32 @@ impl Database {
     pub fn read_pose_priors(&self) -> Result<Vec<(ImageId, Position)>> {
         let columns = self.columns("pose_priors")?;
         let has = |name: &str| columns.iter().any(|column| column == name);
-        if !has("position") || !has("coordinate_system") {
-            return Ok(Vec::new());
-        }
-        let covariance = if has("position_covariance") { "position_covariance" } else { "NULL" };
         // Since 4.0 a row is of any sensor; cameras have type 0.
-        let (image, condition) = match has("corr_data_id") {
+        let (image, condition) = match has("corr_data_id") && has("corr_sensor_type") {
             true => ("corr_data_id", "WHERE corr_sensor_type = 0"),
             false => ("image_id", ""),
         };
-        type Row = (i64, Option<Vec<u8>>, Option<i64>, Option<Vec<u8>>);
-        let rows: Vec<Row> = self.rows(
+        if !has("position") || !has("coordinate_system") || !has(image) {
+            return Ok(Vec::new());
+        }
+        let covariance = if has("position_covariance") { "position_covariance" } else { "NULL" };
+        let blob = |cell: ValueRef| cell.as_blob().ok().map(<[u8]>::to_vec);
+        let integer = |cell: ValueRef| cell.as_i64().ok();
+        let rows = self.rows(
             &format!(
                 "SELECT {image}, position, coordinate_system, {covariance} FROM pose_priors \
                  {condition} ORDER BY {image}"
             ),
-            |row| Ok((row.get(0)?, row.get(1)?, row.get(2)?, row.get(3)?)),
+            |row| {
+                let [image, position, system, covariance] =
+                    [row.get_ref(0)?, row.get_ref(1)?, row.get_ref(2)?, row.get_ref(3)?];
+                Ok((integer(image), blob(position), integer(system), blob(covariance)))
+            },
         )?;
         let mut priors = Vec::new();
         for (file_id, position, system, covariance) in rows {
-            let Ok(image) = self.image_id(file_id, || "a pose prior".to_owned()) else { continue };
+            let image = file_id.map(|id| self.image_id(id, || "a pose prior".to_owned()));
+            let Some(Ok(image)) = image else { continue };
             let Some(xyz) = position.as_deref().and_then(values::<3>) else { continue };
             let place = match system {
                 Some(WGS84) => Place::Geodetic {

@@ -686,6 +686,13 @@ fn pose_priors_are_positions_with_deviations() {
         let insert = "INSERT INTO pose_priors VALUES (?1, ?1, 1, 0, ?2, ?3, NULL, ?4)";
         sql.execute(insert, rusqlite::params![image, blob(&xyz), covariance, system]).unwrap();
     }
+    // Cells of other types, as only other programs write them.
+    sql.execute_batch(
+        "INSERT INTO pose_priors VALUES (8, 6, 1, 0, 'here', x'00', NULL, 1);
+         INSERT INTO pose_priors VALUES (9, 6, 2, 0, zeroblob(24), 'x', NULL, x'01');
+         INSERT INTO pose_priors VALUES (10, 6, 3, 0, 1.5, 7, NULL, 'one');",
+    )
+    .unwrap();
     drop(sql);
     let db = Database::open_read_only(&path).unwrap();
     let place = Place::Geodetic { latitude_deg: 48.1, longitude_deg: 11.5, altitude_m: None };
@@ -714,6 +721,12 @@ fn pose_priors_are_positions_with_deviations() {
     drop(sql);
     let db = Database::open_read_only(&path).unwrap();
     assert_eq!(db.read_pose_priors().unwrap(), [(ImageId(1), second)]);
+    drop(db);
+    let sql = rusqlite::Connection::open(&path).unwrap();
+    sql.execute_batch("ALTER TABLE pose_priors RENAME COLUMN image_id TO photo").unwrap();
+    drop(sql);
+    let db = Database::open_read_only(&path).unwrap();
+    assert_eq!(db.read_pose_priors().unwrap(), []);
 }
 
 /// COLMAP 3.8 reads columns by their place, and writes rows without the newer columns.

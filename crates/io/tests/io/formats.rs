@@ -297,6 +297,8 @@ fn trajectory_formats_agree_on_conventions() {
     for (content, expected) in [
         ("1 2 3 0 0 0 1", "line 1: ends where the quaternion should be"),
         ("\n1 1 2 3 0 0 0 0", "line 2: a quaternion of norm 0 is no rotation"),
+        // Rotation first.
+        ("\n1 0 0 0 1 1 2 3", "line 2: a quaternion of norm 3.87"),
         ("1 1 2 inf 0 0 0 1", "line 1: the position is inf"),
         ("1 1 2 3 0 0 0 1 5", "line 1: `5` follows"),
     ] {

@@ -12,7 +12,9 @@ use tiepoint_sfm::geometry::geodesy::Geodetic;
 use tiepoint_sfm::geometry::nalgebra::{Vector2, Vector3};
 use tiepoint_sfm::geometry::{RansacOptions, Sim3, estimate};
 use tiepoint_sfm::model_tools::{BoundingBox, align_models, crop, merge_model};
-use tiepoint_sfm::positions::{ControlMisfit, MarkedPoint, PointError, align_to_points};
+use tiepoint_sfm::positions::{
+    ControlMisfit, MarkedPoint, PointError, align_to_points, may_be_mirrored,
+};
 use tiepoint_sfm::scene::{Georeference, Position, Reconstruction};
 use tiepoint_store::{Replace, write_file};
 
@@ -300,7 +302,9 @@ pub fn align_model(
         AlignTo::Positions { path: file, max_error } => {
             inputs.push(file.to_owned());
             let (positions, georeference) = read_positions(file)?;
-            let (similarity, info) = align_to_positions(located, &positions, file, max_error)?;
+            let is_up = georeference.is_some();
+            let (similarity, info) =
+                align_to_positions(located, &positions, file, max_error, is_up)?;
             (similarity, Some(info), georeference)
         }
         AlignTo::ControlPoints { path: file } => {
@@ -330,11 +334,15 @@ pub fn align_model(
 /// The frame of a georeferenced model, as a sentence.
 fn frame_in_words(georeference: &Georeference) -> String {
     match georeference {
-        Georeference::Enu(frame) => {
+        Georeference::Enu { frame, has_height } => {
             let Geodetic { latitude_deg, longitude_deg, height_m } = frame.origin();
+            let altitude = match has_height {
+                true => format!("altitude {height_m:.2} m"),
+                false => "an altitude that is not known".to_owned(),
+            };
             format!(
                 "x is east, y north and z up, in metres from latitude {latitude_deg:.7}°, \
-                 longitude {longitude_deg:.7}° and altitude {height_m:.2} m"
+                 longitude {longitude_deg:.7}° and {altitude}"
             )
         }
         Georeference::Cartesian { offset } => {
@@ -418,11 +426,13 @@ fn mean(values: impl Iterator<Item = f64>) -> f64 {
     sum / count.max(1) as f64
 }
 
+/// `is_up`: z of the positions is up.
 fn align_to_positions(
     model: &LocatedModel,
     positions: &ByName<Vector3<f64>>,
     file: &Path,
     max_error: f64,
+    is_up: bool,
 ) -> Result<(Sim3, AlignmentInfo), Error> {
     let pairs = model
         .reconstruction
@@ -451,21 +461,29 @@ fn align_to_positions(
                 from.len()
             ))
         })?;
-    let distances = from.iter().zip(&to).map(|(from, to)| (report.model * *from - to).norm());
-    let distances = distances.filter(|distance| *distance <= max_error);
+    let distance = |(from, to): (&Vector3<f64>, &Vector3<f64>)| (report.model * *from - to).norm();
+    let fits = from.iter().zip(&to).filter(|pair| distance(*pair) <= max_error);
+    let (distances, places): (Vec<f64>, Vec<Vector3<f64>>) =
+        fits.map(|pair| (distance(pair), *pair.1)).unzip();
+    // Those that fit are within three deviations.
+    if is_up && may_be_mirrored(&model.reconstruction, &report.model, &places, max_error / 3.0) {
+        return Err(failed(UPSIDE_DOWN.to_owned()));
+    }
     let info = AlignmentInfo {
         common_images: from.len(),
         compared: from.len(),
         inliers: report.num_inliers,
-        mean_distance: mean(distances),
+        mean_distance: mean(distances.into_iter()),
     };
     Ok((report.model, info))
 }
 
+/// Why a frame with z up is refused.
+const UPSIDE_DOWN: &str = "it would be upside down: are two coordinates swapped?";
+
 /// Standard deviation of the coordinates of a control point, in metres: of a survey.
 const CONTROL_SIGMA_M: f64 = 0.01;
 
-/// The similarity to control points, their frame, and the points after it.
 /// Why `all` control points do not determine the alignment, and what to do.
 fn why_undetermined(misfit: ControlMisfit, all: usize) -> String {
     match misfit {
@@ -480,9 +498,11 @@ fn why_undetermined(misfit: ControlMisfit, all: usize) -> String {
             rotation_sd_rad.to_degrees().min(180.0),
             100.0 * scale_sd.min(9.99)
         ),
+        ControlMisfit::UpsideDown => UPSIDE_DOWN.to_owned(),
     }
 }
 
+/// The similarity to control points, their frame, and the points after it.
 fn align_to_control_points(
     located: &LocatedModel,
     file: &Path,

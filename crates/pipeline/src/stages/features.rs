@@ -47,6 +47,8 @@ pub struct FeatureOptions {
     /// Photos with more pixels are skipped, which bounds the memory that a damaged or malicious
     /// file can request. At most [`ABSOLUTE_MAX_PIXELS`](tiepoint_input::ABSOLUTE_MAX_PIXELS).
     pub max_pixels: u64,
+    /// Whether the database keeps the positions in EXIF.
+    pub keeps_positions: bool,
 }
 
 impl Default for FeatureOptions {
@@ -59,6 +61,7 @@ impl Default for FeatureOptions {
             timestamps: None,
             max_size: None,
             max_pixels: DEFAULT_MAX_PIXELS,
+            keeps_positions: true,
         }
     }
 }
@@ -75,6 +78,8 @@ impl FeatureOptions {
             timestamps,
             max_size,
             max_pixels,
+            // Features are the same without.
+            keeps_positions: _,
         } = self;
         let files = calibration_files.iter().map(CalibrationSource::fingerprint);
         let files: Vec<String> = files.collect::<Result<_, _>>()?;
@@ -133,7 +138,10 @@ pub(crate) fn extract_features_of(
     let inputs = Some(photos.inputs.clone());
     let request = StageRequest { stage: Stage::Features, recipe, redo, inputs };
     let cameras = found.cameras;
-    let positions = positions(photos, &usable);
+    let positions = match options.keeps_positions {
+        true => positions(photos, &usable),
+        false => Vec::new(),
+    };
     let survey = Survey { photos, usable, calibrations, cameras, times, positions };
     check(workspace, &survey.scene())?;
     workspace.run_stage(request, watch, |run| survey.extract(run, options, skipped))
@@ -261,6 +269,8 @@ impl Survey<'_> {
                 self.usable.len()
             ));
         }
+        notes.extend(self.photos.note_on_panoramas(&self.usable, &self.cameras));
+        notes.extend(self.photos.notes_on_copies(&self.usable));
         notes
     }
 
@@ -314,8 +324,12 @@ impl Survey<'_> {
                 // The file was renamed into place after cameras, images and rigs had been written,
                 // so that only features can be missing.
                 Ok(Some(_)) if !begins => {
-                    let database = Database::open(&path)?;
+                    let mut database = Database::open(&path)?;
                     if database.num_images() == self.usable.len() {
+                        if !self.positions.is_empty() || !database.read_pose_priors()?.is_empty() {
+                            // Those of an interrupted run may be absent, or are not asked for now.
+                            database.write_pose_priors(&self.positions)?;
+                        }
                         return Ok(database);
                     }
                 }

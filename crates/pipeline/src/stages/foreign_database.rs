@@ -8,7 +8,9 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use tiepoint_input::fingerprint::hash_files;
+use rayon::prelude::*;
+use tiepoint_input::ImageFolder;
+use tiepoint_input::fingerprint::{hash_files, of_photo};
 use tiepoint_input::parallel::for_each_in_order;
 use tiepoint_io::database::{Database, read_stage_rows};
 use tiepoint_sfm::convert::keypoint;
@@ -65,7 +67,22 @@ fn copy_database(file: &Path, run: &mut StageRun) -> Result<StageResult, Error> 
         return Err(StoreError::ForeignFile { path }.into());
     }
     let rows = workspace.records.rows();
-    let database = Database::copy_with(file, &path, |database| database.write_stage_rows(&rows))?;
+    // As they are now. Without photos, or with other names, there are none.
+    let fingerprints = ImageFolder::open(&workspace.records.inputs, None).map_or_else(
+        |_| Vec::new(),
+        |folder| {
+            let photos = folder.images().par_iter().enumerate();
+            let photos = photos.filter_map(|(index, image)| {
+                Some((image.name.clone(), of_photo(folder.path(index)).ok()?))
+            });
+            photos.collect::<Vec<(String, String)>>()
+        },
+    );
+    let database = Database::copy_with(file, &path, |database| {
+        let fingerprints = fingerprints.iter().map(|(name, of)| (name.as_str(), of.as_str()));
+        database.write_photo_fingerprints(fingerprints)?;
+        database.write_stage_rows(&rows)
+    })?;
     workspace.note(|_| {})?;
     let counts: Vec<usize> = database.keypoint_counts()?.into_iter().flatten().collect();
     let images = counts.iter().filter(|count| **count > 0).count();

@@ -1,6 +1,7 @@
 //! Stage 3: incremental mapping from the database to `sparse/`, `points.ply`, `rig.json` and the
 //! report.
 
+use std::cell::RefCell;
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::ControlFlow;
 use std::path::PathBuf;
@@ -25,6 +26,7 @@ use tiepoint_sfm::{
 };
 
 use crate::stages::calibration_priors::{calibrations_of, set_calibration_priors};
+use crate::stages::checkpoint::{CheckpointFile, key_of};
 use crate::stages::colors::color_points;
 use crate::stages::foreign_database::require_descriptors;
 use crate::stages::input_model::{InputModel, OpenedModel};
@@ -100,19 +102,24 @@ pub fn map(
     redo: Option<Stage>,
     watch: Watch,
 ) -> Result<(), Error> {
-    let mut request = MapRequest::new(workspace, map_options)?;
+    let is_redone = redo == Some(Stage::Map);
+    let mut request = MapRequest::new(workspace, map_options, is_redone, watch)?;
     let recipe = Recipe::new(workspace.fingerprint(Stage::Match)?, request.take_texts());
+    let key = key_of(&recipe);
     let stage = StageRequest { stage: Stage::Map, recipe, redo, inputs: None };
     workspace.run_stage(stage, watch, |run| {
         // Foreign files are detected before mapping. Old models stay until the new ones are
         // complete.
-        let replaced = replaced_names(run.workspace);
+        let replaced = replaced_names(run.workspace, request.positions.is_some());
         run.workspace.folder.ensure_writable(replaced.iter().map(String::as_str))?;
         let input = request.read(run)?;
         request.check(run.workspace, &input)?;
-        let models = request.map(run, &input)?;
-        request.finish(run, &input, models, replaced)
-    })
+        let mapped = request.map(run, &input, key)?;
+        request.finish(run, &input, mapped, replaced)
+    })?;
+    // What cannot be removed is not used.
+    let _ = workspace.folder.remove_state();
+    Ok(())
 }
 
 /// What a mapping is asked to do, with what the workspace decides.
@@ -135,15 +142,29 @@ struct MapInput {
     positions: Option<ScenePositions>,
 }
 
+/// What a run of the mapper has besides the input.
+enum MapperWith<'a> {
+    /// Checkpoints with this key. They do not hold the state of terms.
+    Checkpoints([u8; 32]),
+    Term(&'a mut dyn Term),
+}
+
 /// What mapping gives.
 struct Mapped {
     models: Vec<MappedModel>,
     scales: Vec<Option<ScaleReport>>,
     placed: Placed,
+    /// What was noted of checkpoints.
+    notes: Vec<String>,
 }
 
 impl<'a> MapRequest<'a> {
-    fn new(workspace: &mut Workspace, given: &'a MapOptions) -> Result<Self, Error> {
+    fn new(
+        workspace: &mut Workspace,
+        given: &'a MapOptions,
+        is_redone: bool,
+        watch: Watch,
+    ) -> Result<Self, Error> {
         let &MapOptions { mut mapper, refine, baseline_m, refine_extrinsics, .. } = given;
         let rig_calibration = given.rig_calibration.as_deref();
         let input_model = given.input_model.as_ref().map(InputModel::open).transpose()?;
@@ -180,7 +201,7 @@ impl<'a> MapRequest<'a> {
         }
         let hash = rig_calibration.map(hash_file).transpose()?;
         texts.extend(option_keys::rig_calibration_options(hash, refine_extrinsics));
-        let positions = FoundPositions::read(workspace, &given.position_priors)?;
+        let positions = FoundPositions::read(workspace, &given.position_priors, is_redone, watch)?;
         let hash = positions.as_ref().map(FoundPositions::hash);
         texts.push(option_keys::position_priors_option(hash));
         Ok(Self { given, options: mapper, input_model, texts, is_imported, positions })
@@ -232,8 +253,7 @@ impl<'a> MapRequest<'a> {
         }
         scene.calibrated.extend(constant);
         let positions = self.positions.as_ref().map(|found| found.of_scene(&scene)).transpose()?;
-        let total = scene.images().filter(|(_, image)| !image.keypoints.is_empty()).count();
-        run.began(total, 0)?;
+        run.began(num_images(&scene), 0)?;
         Ok(MapInput { scene, graph, known_rigs, positions })
     }
 
@@ -247,12 +267,14 @@ impl<'a> MapRequest<'a> {
         check_times(workspace, scene, self.given)
     }
 
-    /// Maps, sets scale and frame, and colours the points.
-    fn map(&self, run: &mut StageRun, input: &MapInput) -> Result<Mapped, Error> {
-        let mut models = self.run_mapper(run, input, None)?;
+    /// Maps, sets scale and frame, and colours the points. `key` is that of the run's checkpoints.
+    fn map(&self, run: &mut StageRun, input: &MapInput, key: [u8; 32]) -> Result<Mapped, Error> {
+        let (mut models, notes) = self.run_mapper(run, input, MapperWith::Checkpoints(key))?;
         let mut scales: Vec<Option<ScaleReport>> = match self.given.baseline_m {
             Some(baseline_m) => {
-                scale_to_baseline(&mut models, baseline_m).into_iter().map(Some).collect()
+                let has_positions = input.positions.is_some();
+                let scales = scale_to_baseline(&mut models, baseline_m, has_positions);
+                scales.into_iter().map(Some).collect()
             }
             None => vec![None; models.len()],
         };
@@ -263,7 +285,7 @@ impl<'a> MapRequest<'a> {
         // Positions may give other models.
         scales.resize(models.len(), None);
         color(run, &mut models)?;
-        Ok(Mapped { models, scales, placed })
+        Ok(Mapped { models, scales, placed, notes })
     }
 
     /// Moves the models into the frame of measured positions. Those that were mapped with the
@@ -290,11 +312,17 @@ impl<'a> MapRequest<'a> {
         {
             run.emit(&Event::Noted { what: "mapping once more, with the positions" })?;
             let mut term = positions.term(&largest, seed);
-            match self.run_mapper(run, input, Some(&mut term)) {
-                Ok(with) => {
+            match self.run_mapper(run, input, MapperWith::Term(&mut term)) {
+                Ok((with, _)) => {
                     comparison = positions.compare(models, &with, scale_of, &largest, seed);
-                    if comparison.is_some_and(|found| found.is_better()) {
-                        *models = with;
+                    match comparison {
+                        Some(found) if found.is_better() => *models = with,
+                        Some(_) => {}
+                        None => failure = Some(
+                            "positions took no part in the adjustments: too few are held out to \
+                             tell whether they help"
+                                .to_owned(),
+                        ),
                     }
                 }
                 Err(error) => failure = Some(why_not_adjusted(error)?),
@@ -311,13 +339,13 @@ impl<'a> MapRequest<'a> {
         Ok(placed)
     }
 
-    /// Runs the mapper.
+    /// Runs the mapper. Returns also what was noted of checkpoints.
     fn run_mapper(
         &self,
         run: &mut StageRun,
         input: &MapInput,
-        term: Option<&mut dyn Term>,
-    ) -> Result<Vec<MappedModel>, Error> {
+        with: MapperWith,
+    ) -> Result<(Vec<MappedModel>, Vec<String>), Error> {
         let MapInput { scene, graph, known_rigs, .. } = input;
         let name = |id| scene.image(id).name.as_str();
         let database = Database::open(&run.workspace.database())?;
@@ -339,16 +367,27 @@ impl<'a> MapRequest<'a> {
             )
         };
         let watch = &mut *run.watch;
+        let (pending, mut notes) = (RefCell::new(Vec::<String>::new()), Vec::new());
         let mut notified = |event: &sfm::Event| {
+            for what in pending.take() {
+                watch(&Event::Noted { what: &what })?;
+                notes.push(what);
+            }
             named_event(event, &name).map_or(ControlFlow::Continue(()), |event| watch(&event))
         };
+        let folder = &run.workspace.folder;
+        let mut checkpoints;
         let mut mapper =
             Mapper::new(graph, scene).descriptors(&mut descriptors).watch(&mut notified);
+        match with {
+            MapperWith::Checkpoints(key) => {
+                checkpoints = CheckpointFile::new(folder, key, num_images(scene), &pending);
+                mapper = mapper.checkpoints(&mut checkpoints);
+            }
+            MapperWith::Term(term) => mapper = mapper.term(term),
+        }
         if let Some(rigs) = known_rigs {
             mapper = mapper.known_rigs(rigs);
-        }
-        if let Some(term) = term {
-            mapper = mapper.term(term);
         }
         if let Some(model) = &self.input_model {
             mapper = mapper.existing(match model.fix_existing_frames {
@@ -366,7 +405,11 @@ impl<'a> MapRequest<'a> {
             return Err(error.into());
         }
         database.close()?;
-        Ok(models)
+        for what in pending.take() {
+            emit(run.watch, &Event::Noted { what: &what })?;
+            notes.push(what);
+        }
+        Ok((models, notes))
     }
 
     /// Stages the models, and writes the rigs into the database.
@@ -377,25 +420,27 @@ impl<'a> MapRequest<'a> {
         mapped: Mapped,
         replaced: Vec<String>,
     ) -> Result<StageResult, Error> {
-        let Mapped { models, scales, placed } = mapped;
+        let Mapped { models, scales, placed, mut notes } = mapped;
         let files = stage_models(run.workspace, &models)?;
         let is_known = input.known_rigs.is_some();
-        let Placed { reports, factors, mut notes } = placed;
+        let Placed { reports, factors, notes: mut of_models } = placed;
         let reports = self.reports(&models, scales, (reports, factors), is_known);
         let may_be_rig = self.options.rig != RigMode::Off && !is_known;
         if let Some(first) = models.first()
             && may_be_rig
             && reports.iter().all(|report| report.rig.is_none())
+            && let Some(what) = why_no_rig(&first.reconstruction)
         {
-            notes.extend(why_no_rig(&first.reconstruction));
+            of_models.push(what);
         }
-        for what in &notes {
-            run.emit(&Event::Noted { what })?;
+        for what in of_models {
+            run.emit(&Event::Noted { what: &what })?;
+            notes.push(what);
         }
-        let of_models = models.iter().map(|model| &model.reconstruction).zip(&reports);
+        let reported = models.iter().map(|model| &model.reconstruction).zip(&reports);
         let unregistered = unregistered_images(&input.graph, &models, &self.options);
         let gaps = gaps(&input.graph, &models);
-        let warnings = warnings_of_models(&input.scene, of_models, gaps);
+        let warnings = warnings_of_models(&input.scene, reported, gaps);
         // The rigs are written after every step that may fail: a run that ends before the stage is
         // complete repeats it and writes them again.
         if let Some(first) = models.first()
@@ -448,18 +493,23 @@ impl<'a> MapRequest<'a> {
     }
 }
 
-/// That the mapping with positions failed, as a sentence; the models without them stay.
+/// That the mapper failed with positions, as a sentence; the models without them stay.
 ///
 /// # Errors
 ///
-/// [`Error::Cancelled`].
+/// Any other error.
 fn why_not_adjusted(error: Error) -> Result<String, Error> {
     match error {
-        Error::Cancelled => Err(error),
-        error => Ok(format!(
+        Error::Mapping(_) | Error::OneSpot { .. } | Error::NoModel { .. } => Ok(format!(
             "positions took no part in the adjustments: mapping with them failed: {error}"
         )),
+        error => Err(error),
     }
+}
+
+/// Number of images that may get a pose.
+fn num_images(scene: &Reconstruction) -> usize {
+    scene.images().filter(|(_, image)| !image.keypoints.is_empty()).count()
 }
 
 /// Colours the points of models from the photos. A database of another program may come without
@@ -709,14 +759,19 @@ fn is_timed(scene: &Reconstruction) -> bool {
     scene.cameras().any(|(id, _)| times(id) >= MIN_TIMES)
 }
 
-/// Names of all existing files of models, which new models replace.
-fn replaced_names(workspace: &Workspace) -> Vec<String> {
+/// Names of all existing files of models, which new models replace. A georeference that is not ours
+/// is replaced only if there may be a new one.
+fn replaced_names(workspace: &Workspace, has_positions: bool) -> Vec<String> {
     let prefix = format!("{SPARSE}/");
     let earlier = workspace.folder.names().filter(|name| name.starts_with(&prefix));
     let mut names: BTreeSet<String> = earlier.map(str::to_owned).collect();
     let models = (0..).map(model_path).take_while(|model| workspace.root().join(model).is_dir());
     names.extend(models.flat_map(|model| model_names(Some(&model))));
-    names.extend([POINTS, GEOREFERENCE].map(str::to_owned));
+    names.insert(POINTS.to_owned());
+    // One that cannot be read is refused before mapping.
+    if has_positions || workspace.folder.is_unmodified(GEOREFERENCE).unwrap_or(true) {
+        names.insert(GEOREFERENCE.to_owned());
+    }
     names.extend(workspace.folder.names().filter(|name| is_rig_name(name)).map(str::to_owned));
     // Also foreign files, which are then rejected before mapping.
     names.extend(rigs_in(workspace.root()));
@@ -808,6 +863,8 @@ mod tests {
                 split: None,
                 error_off_px: 1.0,
                 error_px: 1.0,
+                held_out_change: None,
+                unconstrained: Vec::new(),
                 limit: None,
             }),
             reconstruction: model,
@@ -858,6 +915,8 @@ mod tests {
     fn a_mapping_with_positions_that_fails_leaves_the_models_without() {
         assert!(matches!(why_not_adjusted(Error::Cancelled), Err(Error::Cancelled)));
         let error = Error::NoWorkspace { path: PathBuf::from("ws") };
+        assert!(why_not_adjusted(error).is_err(), "not an error of the mapper");
+        let error = Error::Mapping(sfm::Error::RigsOfExistingModel);
         let says = why_not_adjusted(error).unwrap();
         assert!(
             says.starts_with("positions took no part in the adjustments: mapping with"),
@@ -913,14 +972,19 @@ mod tests {
         let pair = ["left/0.png", "right/0.png"].map(str::to_owned);
         assert_eq!(third.unwrap().bad_pairs, [pair]);
         // New models replace all files of the old ones.
-        let replaced = replaced_names(&workspace);
+        let replaced = replaced_names(&workspace, false);
         for name in ["rig.json", "rig-2.json", "sparse/2/images.bin"] {
             assert!(replaced.iter().any(|other| other == name), "{name}: {replaced:?}");
         }
         // Also if the user has deleted a model, or if a foreign file has such a name.
         std::fs::remove_dir_all(root.join("sparse/2")).unwrap();
+        std::fs::write(root.join(GEOREFERENCE), "mine").unwrap();
+        let has_georeference = |has_positions| {
+            replaced_names(&workspace, has_positions).iter().any(|name| name == GEOREFERENCE)
+        };
+        assert!(!has_georeference(false) && has_georeference(true), "without positions it stays");
         std::fs::write(root.join("rig-7.json"), "mine").unwrap();
-        let replaced = replaced_names(&workspace);
+        let replaced = replaced_names(&workspace, false);
         assert!(
             ["rig-2.json", "rig-7.json"]
                 .iter()

@@ -1,6 +1,7 @@
 //! The stages of a run: features, matches, models, dense clouds.
 
 pub(crate) mod calibration_priors;
+mod checkpoint;
 mod colors;
 pub(crate) mod dense;
 pub(crate) mod extraction;

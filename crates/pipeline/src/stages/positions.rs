@@ -19,8 +19,9 @@ use tiepoint_sfm::scene::{
 
 use crate::stages::scale::scale_extrinsics;
 use crate::workspace::file_names::model_path;
+use crate::workspace::option_names::POSITION_PRIORS_KEY;
 use crate::workspace::report::{PositionReport, ScaleReport};
-use crate::{Error, Stage, Workspace};
+use crate::{Error, Event, Stage, Watch, Workspace, emit};
 
 /// Where measured positions of the photos come from.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -42,14 +43,17 @@ pub(crate) struct FoundPositions {
 }
 
 impl FoundPositions {
-    /// Reads the positions; `None` if there are none.
+    /// Reads the positions; `None` if there are none. Models that were mapped without those in the
+    /// database stay so, unless the stage is redone; a note says so.
     ///
     /// # Errors
     ///
-    /// A file cannot be read.
+    /// A file cannot be read; `watch` returns `Break`.
     pub(crate) fn read(
         workspace: &Workspace,
         from: &PositionPriors,
+        is_redone: bool,
+        watch: Watch,
     ) -> Result<Option<Self>, Error> {
         let (file, by_name) = match from {
             PositionPriors::Off => return Ok(None),
@@ -59,6 +63,18 @@ impl FoundPositions {
             }
             PositionPriors::Auto => return Ok(None),
         };
+        let is_mapped_without = !is_redone
+            && workspace.records.is_begun(Stage::Map)
+            && workspace.records.option(Stage::Map, POSITION_PRIORS_KEY).is_none();
+        if file.is_none() && !by_name.is_empty() && is_mapped_without {
+            let what = format!(
+                "the models were mapped without the {} positions in database.db: `stage.redo` map \
+                 uses them",
+                by_name.len()
+            );
+            emit(watch, &Event::Noted { what: &what })?;
+            return Ok(None);
+        }
         Ok((!by_name.is_empty()).then_some(Self { file, by_name }))
     }
 
@@ -385,7 +401,11 @@ impl ScenePositions {
             transform(mapped, similarity);
             mapped.reconstruction.georeference = Some(georeference);
             let report = report(mapped, *scale_of, &found, free.as_ref(), comparison);
-            placed.notes.extend(sentences(&model_path(index), *scale_of, &report, &georeference));
+            let model = model_path(index);
+            placed.notes.extend(sentences(&model, *scale_of, &report, &georeference));
+            let of_comparison = comparison.map(|found| compared(&model, &report, found));
+            // One that is of all models is said once.
+            placed.notes.extend(of_comparison.filter(|note| !placed.notes.contains(note)));
             placed.reports.push(Some(report));
             placed.factors.push(similarity.scale);
         }
@@ -436,7 +456,7 @@ fn report(
         level_sd_deg: found.level_sd_rad.map(f64::to_degrees),
         is_adjusted: mapped.is_in_frame_of_terms,
         held_out_median_m: comparison.map(|found| found.median_m),
-        held_out_t: comparison.map(|found| found.t),
+        held_out_t: comparison.map(|found| found.t).filter(|t| t.is_finite()),
     }
 }
 
@@ -451,7 +471,7 @@ fn sentences(
     georeference: &Georeference,
 ) -> Vec<String> {
     let frame = match georeference {
-        Georeference::Enu(_) => "x east, y north, z up",
+        Georeference::Enu { .. } => "x east, y north, z up",
         Georeference::Cartesian { .. } => "the axes of the positions",
     };
     let right = report.positions - report.outliers.len();
@@ -476,26 +496,35 @@ fn sentences(
              are level on average, good to some {sd_deg:.0}°"
         ));
     }
-    if let Some([without, with]) = report.held_out_median_m {
-        let (verb, but) = match report.is_adjusted {
-            true => ("took part in the adjustments", "with the others"),
-            false => ("took no part in the adjustments", "with the others, which is no better"),
-        };
-        sentences.push(format!(
-            "positions {verb}: cameras are {without:.3} m (median) from held-out ones without, and \
-             {with:.3} m {but}"
-        ));
-    }
     if !report.outliers.is_empty() {
         let names: Vec<&str> = report.outliers.iter().take(MAX_NAMES).map(String::as_str).collect();
         let more = if report.outliers.len() > MAX_NAMES { ", …" } else { "" };
         let what = match report.outliers.len() {
-            1 => "1 position is wrong".to_owned(),
-            count => format!("{count} positions are wrong"),
+            1 => "1 position deviates by more than 3 deviations".to_owned(),
+            count => format!("{count} positions deviate by more than 3 deviations"),
         };
         sentences.push(format!("{what}: {}{more}", names.join(", ")));
     }
     sentences
+}
+
+/// Whether positions took part in the adjustments of a model, and why.
+fn compared(model: &str, report: &PositionReport, comparison: &Comparison) -> String {
+    let [without, with] = comparison.median_m;
+    let distances = format!(
+        "cameras are {without:.3} m (median) from held-out ones without, and {with:.3} m with the \
+         others"
+    );
+    match (report.is_adjusted, comparison.why_not_better()) {
+        (true, _) => format!("positions took part in the adjustments of {model}: {distances}"),
+        (false, Some(why)) => {
+            format!("positions took no part in the adjustments: {distances}, {why}")
+        }
+        (false, None) => format!(
+            "positions took no part in the adjustments of {model}, which did not lie reliably in \
+             their frame as it grew"
+        ),
+    }
 }
 
 /// What gives the scale of a model, and how well it is known by positions.

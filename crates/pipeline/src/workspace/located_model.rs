@@ -211,7 +211,12 @@ pub fn model_folder(path: &Path) -> Result<PathBuf, Error> {
     }
     let largest = path.join("sparse/0");
     if !largest.is_dir() {
-        return Ok(path.to_owned());
+        // COLMAP's `image_undistorter` puts the model into `sparse` itself.
+        let is_model = |folder: &Path| {
+            ["cameras.bin", "cameras.txt"].iter().any(|name| folder.join(name).is_file())
+        };
+        let only = path.join("sparse");
+        return Ok(if is_model(&only) && !is_model(path) { only } else { path.to_owned() });
     }
     if is_workspace(path) && !current_records(path)?.is_complete(Stage::Map) {
         return Err(Error::StaleModels { path: path.to_owned() });
@@ -224,6 +229,20 @@ mod tests {
     use std::fs;
 
     use super::*;
+
+    #[test]
+    fn model_of_an_undistorted_folder_of_colmap_is_found() {
+        let dir = tempfile::tempdir().unwrap();
+        let (root, sparse) = (dir.path(), dir.path().join("sparse"));
+        fs::create_dir(&sparse).unwrap();
+        assert_eq!(model_folder(root).unwrap(), root);
+        fs::write(sparse.join("cameras.txt"), "").unwrap();
+        assert_eq!(model_folder(root).unwrap(), sparse);
+        fs::write(root.join("cameras.bin"), "").unwrap();
+        assert_eq!(model_folder(root).unwrap(), root, "a model of its own");
+        fs::create_dir(sparse.join("0")).unwrap();
+        assert_eq!(model_folder(root).unwrap(), sparse.join("0"));
+    }
 
     #[cfg(unix)]
     #[test]

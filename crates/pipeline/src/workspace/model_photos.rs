@@ -34,6 +34,9 @@ impl ModelPhotos {
         };
         let model = &model.reconstruction;
         let inputs = current_records(root)?.inputs;
+        if let Some(path) = inputs.iter().find(|input| !input.exists()) {
+            return Err(Error::MovedPhotos { path: path.clone() });
+        }
         let this = Self::new(ImageFolder::open(&inputs, masks)?);
         for (_, image, _) in model.registered() {
             if !this.index_of.contains_key(&image.name) {
@@ -133,7 +136,7 @@ impl ModelPhotos {
 }
 
 /// The fingerprints of the photos that the features of a workspace are of, by the names of the
-/// images; empty for features that another program made.
+/// images. With features that another program made, those of the photos when these were taken over.
 ///
 /// # Errors
 ///

@@ -50,7 +50,7 @@ impl Recipe {
     }
 
     /// Fingerprint of the stage, which is the input of the next one.
-    fn fingerprint(&self) -> String {
+    pub(crate) fn fingerprint(&self) -> String {
         let mut hash = blake3::Hasher::new();
         let words = self.options.iter().flat_map(|(name, value)| [name, value]);
         for word in std::iter::once(&self.input).chain(words) {
@@ -191,6 +191,11 @@ impl Records {
     /// Removes the records of stages in a database that no longer exists. That of the models stays.
     pub(crate) fn forget_database(&mut self) {
         IN_DATABASE.iter().for_each(|stage| drop(self.stages.remove(stage)));
+    }
+
+    /// Whether a stage was begun.
+    pub(crate) fn is_begun(&self, stage: Stage) -> bool {
+        self.stages.contains_key(&stage)
     }
 
     /// Whether a stage is complete.

@@ -357,7 +357,7 @@ impl Report {
 pub struct PositionReport {
     /// Number of images with a pose and a position.
     pub positions: usize,
-    /// Images whose positions are wrong.
+    /// Images whose positions deviate by more than three deviations.
     pub outliers: Vec<String>,
     /// Standard deviation of the positions about the model along a horizontal axis, in metres.
     pub sigma_horizontal_m: f64,

@@ -35,7 +35,7 @@ pub struct ExtrinsicsReport {
     /// The reason for the choice, in one sentence.
     pub reason: String,
     /// With soft: standard deviation of each coordinate of the centre, as a fraction of the
-    /// baseline.
+    /// baseline; the largest of a camera.
     pub sigma_translation: Option<f64>,
     /// With soft: standard deviation of each component of the rotation vector, in degrees.
     pub sigma_rotation_deg: Option<f64>,
@@ -43,6 +43,13 @@ pub struct ExtrinsicsReport {
     pub held_out_error_off_px: f64,
     /// Reprojection error of held-out tracks with the chosen constraint, in pixels.
     pub held_out_error_px: f64,
+    /// Standard deviation of the relative change from the one error to the other, over parts of the
+    /// drive.
+    #[serde(default)]
+    pub held_out_change_sd: Option<f64>,
+    /// Folders of the cameras that permit no constraint although others do.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub unconstrained: Vec<String>,
     /// Image pairs of one frame whose relative pose contradicts the extrinsics, both in the model
     /// and by their own matches.
     pub bad_pairs: Vec<[String; 2]>,
@@ -63,6 +70,10 @@ pub struct SplitReport {
     /// determine their poses.
     pub pairs_matched_again: usize,
 }
+
+/// Smallest baseline relative to the distance of the cameras from the origin: rounding errors are a
+/// millionth of it.
+const MIN_BASELINE: f64 = 1e-9;
 
 /// Statistics of the relative pose of two cameras over all frames.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -86,8 +97,16 @@ pub struct RigCameraReport {
     /// Root mean square angle between the relative rotations and their mean, in degrees.
     pub rotation_rms_deg: f64,
     /// Mean distance in the second half of the drive over that in the first half: 1 without scale
-    /// drift.
+    /// drift, and without a baseline.
     pub second_over_first_half: f64,
+    /// With a soft constraint: standard deviation of each coordinate of the centre, as a fraction
+    /// of the baseline.
+    #[serde(default)]
+    pub sigma_translation: Option<f64>,
+    /// With a soft constraint: standard deviation of each component of the rotation vector, in
+    /// degrees.
+    #[serde(default)]
+    pub sigma_rotation_deg: Option<f64>,
 }
 
 /// λ of Huang, Elhashash & Qin 2022 (Eq. 2), which depends on the unit of length.
@@ -176,7 +195,9 @@ fn uncalibrated_camera(
 /// Statistics of a camera with estimated extrinsics, over the frames that they constrain.
 fn calibrated_camera(model: &Reconstruction, camera: &CalibratedCamera) -> Option<RigCameraReport> {
     let cameras = [camera.sensor_pair.reference, camera.sensor_pair.other];
-    Some(camera_report(model, cameras, camera.num_referenced_images, &camera.statistics?))
+    let report = camera_report(model, cameras, camera.num_referenced_images, &camera.statistics?);
+    let (sigma_translation, sigma_rotation_deg) = sigmas(Some(camera.constraint)).unzip();
+    Some(RigCameraReport { sigma_translation, sigma_rotation_deg, ..report })
 }
 
 fn camera_report(
@@ -185,15 +206,33 @@ fn camera_report(
     pairs: usize,
     statistics: &RelativePoseStatistics,
 ) -> RigCameraReport {
+    // Cameras with one centre, as of a known rig, have baselines of rounding errors.
+    let extent = model.registered().map(|(_, _, pose)| pose.origin_in_a().norm());
+    let has_baseline = statistics.mean_baseline > MIN_BASELINE * extent.fold(0.0, f64::max);
+    let to_baseline = |value: f64, without: f64| if has_baseline { value } else { without };
+    let mean = statistics.mean_baseline;
     RigCameraReport {
         names: cameras.map(|camera| stream_of(model, camera)),
         pairs,
         reconstructed_pairs: statistics.count,
-        median_baseline: statistics.median_baseline,
-        relative_baseline_sd: statistics.sd_baseline / statistics.mean_baseline,
-        relative_translation_rms: statistics.rms_translation / statistics.mean_baseline,
+        median_baseline: to_baseline(statistics.median_baseline, 0.0),
+        relative_baseline_sd: to_baseline(statistics.sd_baseline / mean, 0.0),
+        relative_translation_rms: to_baseline(statistics.rms_translation / mean, 0.0),
         rotation_rms_deg: statistics.rms_rotation_rad.to_degrees(),
-        second_over_first_half: statistics.second_over_first_half,
+        second_over_first_half: to_baseline(statistics.second_over_first_half, 1.0),
+        sigma_translation: None,
+        sigma_rotation_deg: None,
+    }
+}
+
+/// The standard deviations of a soft constraint: of the centre in baselines, and of the rotation in
+/// degrees.
+fn sigmas(constraint: Option<RigConstraint>) -> Option<(f64, f64)> {
+    match constraint? {
+        RigConstraint::Soft { sigma_translation, sigma_rotation_rad } => {
+            Some((sigma_translation, sigma_rotation_rad.to_degrees()))
+        }
+        RigConstraint::Rigid => None,
     }
 }
 
@@ -204,12 +243,7 @@ fn extrinsics_report(
 ) -> ExtrinsicsReport {
     let CalibratedRig { constraint, error_off_px, error_px, limit, .. } = *rig;
     let name = |image| model.image(image).name.clone();
-    let sigmas = match constraint {
-        Some(RigConstraint::Soft { sigma_translation, sigma_rotation_rad, .. }) => {
-            Some((sigma_translation, sigma_rotation_rad.to_degrees()))
-        }
-        Some(RigConstraint::Rigid) | None => None,
-    };
+    let (sigma_translation, sigma_rotation_deg) = sigmas(constraint).unzip();
     let errors = format!("{error_off_px:.3} px without and {error_px:.3} px with it");
     let reason = match (mode, constraint) {
         (RigMode::Auto, None) => {
@@ -224,10 +258,12 @@ fn extrinsics_report(
     ExtrinsicsReport {
         chosen: constraint.map(ConstraintKind::from),
         reason,
-        sigma_translation: sigmas.map(|sigmas| sigmas.0),
-        sigma_rotation_deg: sigmas.map(|sigmas| sigmas.1),
+        sigma_translation,
+        sigma_rotation_deg,
         held_out_error_off_px: error_off_px,
         held_out_error_px: error_px,
+        held_out_change_sd: rig.held_out_change.map(|change| change.sd),
+        unconstrained: rig.unconstrained.iter().map(|camera| stream_of(model, *camera)).collect(),
         bad_pairs: rig
             .bad_pairs
             .iter()
@@ -302,6 +338,10 @@ fn paper_report(
 
 #[cfg(test)]
 mod tests {
+    use tiepoint_sfm::geometry::nalgebra::{UnitQuaternion, Vector3};
+    use tiepoint_sfm::geometry::{CameraModelKind, Intrinsics, Rigid3};
+    use tiepoint_sfm::scene::{Camera, Image};
+
     use super::*;
 
     #[test]
@@ -326,5 +366,34 @@ mod tests {
         distinct.sort_unstable();
         distinct.dedup();
         assert_eq!(distinct.len(), limits.len());
+    }
+
+    /// A known rig whose cameras have one centre, a hundred units from the origin: 1e-9 of that is
+    /// 1e-7.
+    #[test]
+    fn cameras_with_one_centre_have_finite_statistics() {
+        let mut model = Reconstruction::default();
+        let intrinsics = Intrinsics::centred(CameraModelKind::Pinhole, 500.0, 640, 480);
+        let camera = Camera { intrinsics, width: 640, height: 480, has_focal_prior: false };
+        let cameras = [0, 1].map(|_| model.add_camera(camera));
+        for camera in cameras {
+            let image = model.add_image(Image::new(format!("{camera:?}/1.png"), camera, vec![]));
+            let translation = 100.0 * Vector3::x();
+            model.register(image, Rigid3::new(UnitQuaternion::identity(), translation));
+        }
+        for (mean_baseline, expected) in [(0.0, 0.0), (0.9e-7, 0.0), (1.1e-7, 1.0)] {
+            let statistics = RelativePoseStatistics {
+                count: 2,
+                median_baseline: mean_baseline,
+                mean_baseline,
+                sd_baseline: mean_baseline,
+                rms_translation: mean_baseline,
+                rms_rotation_rad: 0.0,
+                second_over_first_half: mean_baseline / mean_baseline,
+            };
+            let report = camera_report(&model, cameras, 2, &statistics);
+            assert_eq!(report.relative_translation_rms, expected);
+            assert_eq!(report.second_over_first_half, 1.0);
+        }
     }
 }

@@ -44,8 +44,13 @@ pub(crate) struct Sidecar {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "frame", rename_all = "lowercase")]
 pub(crate) enum GeoreferenceFacts {
-    /// East, north and up, WGS 84, at this origin.
-    Enu { latitude_deg: f64, longitude_deg: f64, height_m: f64 },
+    /// East, north and up, WGS 84, at this origin, whose height may not be known.
+    Enu {
+        latitude_deg: f64,
+        longitude_deg: f64,
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        height_m: Option<f64>,
+    },
     /// The coordinates of the positions are those of the model plus `offset`.
     Cartesian { offset: [f64; 3] },
 }
@@ -53,8 +58,9 @@ pub(crate) enum GeoreferenceFacts {
 impl From<&Georeference> for GeoreferenceFacts {
     fn from(georeference: &Georeference) -> Self {
         match georeference {
-            Georeference::Enu(frame) => {
+            Georeference::Enu { frame, has_height } => {
                 let Geodetic { latitude_deg, longitude_deg, height_m } = *frame.origin();
+                let height_m = has_height.then_some(height_m);
                 Self::Enu { latitude_deg, longitude_deg, height_m }
             }
             Georeference::Cartesian { offset } => Self::Cartesian { offset: (*offset).into() },
@@ -66,8 +72,10 @@ impl From<GeoreferenceFacts> for Georeference {
     fn from(facts: GeoreferenceFacts) -> Self {
         match facts {
             GeoreferenceFacts::Enu { latitude_deg, longitude_deg, height_m } => {
+                let has_height = height_m.is_some();
+                let height_m = height_m.unwrap_or(0.0);
                 let origin = Geodetic { latitude_deg, longitude_deg, height_m };
-                Self::Enu(LocalFrame::new(origin))
+                Self::Enu { frame: LocalFrame::new(origin), has_height }
             }
             GeoreferenceFacts::Cartesian { offset } => Self::Cartesian { offset: offset.into() },
         }
@@ -306,7 +314,8 @@ mod tests {
         model.intrinsics_priors.insert(cameras[0], prior);
         model.portrait_landscape_pairs = vec![cameras];
         let origin = Geodetic { latitude_deg: 55.7, longitude_deg: 13.2, height_m: 1.0 / 3.0 };
-        model.georeference = Some(Georeference::Enu(LocalFrame::new(origin)));
+        let frame = LocalFrame::new(origin);
+        model.georeference = Some(Georeference::Enu { frame, has_height: true });
         model
     }
 

@@ -44,10 +44,17 @@ fn of_rig(rig: &RigReport) -> String {
         ConstraintKind::Soft => "soft",
         ConstraintKind::Rigid => "rigid",
     };
+    let (off_px, px) = (extrinsics.held_out_error_off_px, extrinsics.held_out_error_px);
+    let change = extrinsics.held_out_change_sd.map_or(String::new(), |sd| {
+        format!(" ({:+.1} ± {:.1} %)", 100.0 * (px / off_px - 1.0), 100.0 * sd)
+    });
+    let free = match &extrinsics.unconstrained[..] {
+        [] => String::new(),
+        free => format!("; {} permits no constraint", free.join(", ")),
+    };
     format!(
         "the rig ({kind}) ties {frames} of {all} pairs of images, so that the scale cannot drift \
-        between them; held-out tracks {:.3} px, without it {:.3} px",
-        extrinsics.held_out_error_px, extrinsics.held_out_error_off_px
+        between them; held-out tracks {px:.3} px, without it {off_px:.3} px{change}{free}"
     )
 }
 
@@ -85,6 +92,14 @@ mod tests {
         let used = of("auto", Some(extrinsics.clone()));
         assert!(used.starts_with("the rig (rigid) ties 4 of 5 pairs"), "{used}");
         assert!(used.ends_with("held-out tracks 0.500 px, without it 0.600 px"), "{used}");
+        let with_sd = ExtrinsicsReport {
+            held_out_change_sd: Some(0.02),
+            unconstrained: vec!["rear".to_owned()],
+            ..extrinsics.clone()
+        };
+        let used = of("auto", Some(with_sd));
+        let end = "0.600 px (-16.7 ± 2.0 %); rear permits no constraint";
+        assert!(used.ends_with(end), "{used}");
         let unused = of("auto", Some(ExtrinsicsReport { chosen: None, ..extrinsics }));
         assert_eq!(unused, "no rig constraint: why");
         assert!(

@@ -5,6 +5,7 @@ use std::collections::BTreeSet;
 use tiepoint_adjust::Term;
 use tiepoint_scene::Reconstruction;
 
+use super::checkpoint::{Checkpoints, Step};
 use super::existing::{Existing, ExistingPoses};
 use super::growth::Growth;
 use super::input::Input;
@@ -24,7 +25,9 @@ pub(super) fn extend(
     terms: &mut [&mut dyn Term],
     descriptors: &mut Descriptors,
     watch: &mut Watch,
+    checkpoints: &mut Checkpoints,
 ) -> Result<MappedModel, Error> {
+    checkpoints.begin(input, &[], &BTreeSet::new(), Step::Grow);
     let mut model = scene.clone();
     (model.rigs, model.frames) = (Vec::new(), Vec::new());
     for (id, camera) in input.scene.cameras() {
@@ -34,14 +37,15 @@ pub(super) fn extend(
     let mut refiner = Refiner::new(input, model, reborrow(terms));
     refiner.existing = Some(&existing);
     let mut growth = Growth::new(refiner, BTreeSet::new());
-    let model = &mut growth.refiner.solution.model;
-    update_tracks(input.graph, model, &input.options.tracks);
-    filter_all_points(model, &input.options.filter);
-    if model.num_tracks() == 0 {
-        return Err(Error::NothingToExtend { images: existing.num_images() });
+    if checkpoints.resumed.is_none() {
+        let model = &mut growth.refiner.solution.model;
+        update_tracks(input.graph, model, &input.options.tracks);
+        filter_all_points(model, &input.options.filter);
+        if model.num_tracks() == 0 {
+            return Err(Error::NothingToExtend { images: existing.num_images() });
+        }
     }
-    growth.grow(watch)?;
-    growth.refiner.run_stages(descriptors, watch)
+    growth.finish(descriptors, watch, checkpoints)
 }
 
 #[cfg(test)]

@@ -7,13 +7,16 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use tiepoint_scene::{ImageId, Reconstruction};
 
+use super::checkpoint::{Checkpoints, Current};
 use super::input::Input;
 use super::refinement_schedule::RefinementSchedule;
 use super::refiner::Refiner;
 use crate::Error;
 use crate::event::{Event, Watch, notify};
 use crate::known_frames::KnownFrames;
+use crate::mapped_model::MappedModel;
 use crate::register::{Evidence, NextBestView, contradicted};
+use crate::rigs::Descriptors;
 use crate::tracks::{TrackOptions, filter_all_points, triangulate_image};
 
 /// Minimum angle of points that register one image and then are filtered as all are (0.5°). With an
@@ -82,22 +85,64 @@ impl<'a> Growth<'a> {
         &self.refiner.solution.model
     }
 
+    /// Registers all images that can be registered, and runs the stages after that; goes on from
+    /// what an earlier run was doing.
+    pub(super) fn finish(
+        mut self,
+        descriptors: &mut Descriptors,
+        watch: &mut Watch,
+        checkpoints: &mut Checkpoints,
+    ) -> Result<MappedModel, Error> {
+        let at_global = match checkpoints.resumed.take() {
+            Some(Current::Growing { solution, history, at_global }) => {
+                self.refiner.solution = *solution;
+                self.next_best_view.restore(history);
+                at_global
+            }
+            Some(Current::Stages { solution, next, failures }) => {
+                self.refiner.solution = *solution;
+                return self.refiner.run_stages_from(
+                    next,
+                    failures,
+                    descriptors,
+                    watch,
+                    checkpoints,
+                );
+            }
+            None => {
+                self.start_frames(watch)?;
+                self.size()
+            }
+        };
+        self.grow_on(at_global, watch, checkpoints)?;
+        self.refiner.run_stages(descriptors, watch, checkpoints)
+    }
+
     /// Registers all images that can be registered, with local and global adjustments.
     pub(super) fn grow(&mut self, watch: &mut Watch) -> Result<(), Error> {
         self.start_frames(watch)?;
-        let mut images_at_global = self.model().num_registered();
-        let mut points_at_global = self.model().num_tracks();
+        self.grow_on(self.size(), watch, &mut Checkpoints::none())
+    }
+
+    /// [`Growth::grow`] from the state of a checkpoint: `at_global` are the numbers of images and
+    /// points at the last global adjustment.
+    fn grow_on(
+        &mut self,
+        mut at_global: (usize, usize),
+        watch: &mut Watch,
+        checkpoints: &mut Checkpoints,
+    ) -> Result<(), Error> {
         loop {
             while let Some(image) = self.register_usual() {
                 self.add_image(image, watch)?;
-                let (images, points) = (self.model().num_registered(), self.model().num_tracks());
+                let (images, points) = self.size();
                 let factor = self.refiner.input.options.global_growth;
                 let grown = |now: usize, then: usize| now as f64 >= factor * then as f64;
-                if grown(images, images_at_global) || grown(points, points_at_global) {
+                if grown(images, at_global.0) || grown(points, at_global.1) {
                     self.refiner.refine_globally(&RefinementSchedule::GROWING, watch)?;
-                    (images_at_global, points_at_global) =
-                        (self.model().num_registered(), self.model().num_tracks());
+                    at_global = self.size();
                 }
+                self.keep_checkpoint(at_global, checkpoints);
             }
             // Registration that failed before the last refinement may succeed after it.
             self.refiner.refine_globally(&RefinementSchedule::GROWING, watch)?;
@@ -111,10 +156,22 @@ impl<'a> Growth<'a> {
                 return Ok(());
             };
             self.add_image(image, watch)?;
+            self.keep_checkpoint(at_global, checkpoints);
         }
     }
 
-    /// Removes the images that do not see what others see; whether there were any. They may be
+    /// Numbers of registered images and of points.
+    fn size(&self) -> (usize, usize) {
+        (self.model().num_registered(), self.model().num_tracks())
+    }
+
+    fn keep_checkpoint(&self, at_global: (usize, usize), checkpoints: &mut Checkpoints) {
+        let Refiner { input, solution, .. } = &self.refiner;
+        checkpoints.growing(input.scene, solution, &self.next_best_view, at_global);
+    }
+
+    /// Removes the images that their camera cannot have reached between those before and after
+    /// them, and those that do not see what others see; whether there were any. They may be
     /// registered again, now that none misleads another.
     fn remove_contradicted(&mut self) -> bool {
         let Input { graph, options, known_rigs, .. } = self.refiner.input;
@@ -123,11 +180,14 @@ impl<'a> Growth<'a> {
             return false;
         }
         let model = &mut self.refiner.solution.model;
-        let mut is_changed = false;
+        let num_registered = model.num_registered();
+        while let Some(part) = self.next_best_view.part_out_of_reach(model) {
+            part.iter().for_each(|image| model.deregister(*image));
+        }
         while let Some(image) = contradicted(graph, model) {
             model.deregister(image);
-            is_changed = true;
         }
+        let is_changed = model.num_registered() < num_registered;
         if is_changed {
             filter_all_points(model, &options.filter);
         }

@@ -5,6 +5,7 @@ use std::collections::BTreeSet;
 use tiepoint_adjust::{FocalPrior, Term};
 use tiepoint_scene::{CorrespondenceGraph, ImageId, Reconstruction};
 
+use super::checkpoint::{Checkpoints, Step};
 use super::focal_trials::choose_focal_lengths;
 use super::growth::Growth;
 use super::input::Input;
@@ -41,20 +42,21 @@ pub(super) fn initial_focal_lengths(
     focal_priors(scene, &found)
 }
 
-/// Maps the images that are in none of `models`, and returns all models, those first.
+/// Maps the images that are not in `mapped_images`, and returns all models, `models` first.
 pub(super) fn map_rest(
     input: Input,
     mut models: Vec<MappedModel>,
+    mut mapped_images: BTreeSet<ImageId>,
     terms: &mut [&mut dyn Term],
     descriptors: &mut Descriptors,
     watch: &mut Watch,
+    checkpoints: &mut Checkpoints,
 ) -> Result<Vec<MappedModel>, Error> {
-    let of_models = models.iter().flat_map(|model| registered(&model.reconstruction));
-    let mut mapped_images: BTreeSet<ImageId> = of_models.collect();
     loop {
+        checkpoints.begin(input, &models, &mapped_images, Step::Grow);
         let refiner = Refiner::new(input, input.scene.clone(), reborrow(terms));
         let growth = Growth::new(refiner, mapped_images.clone());
-        let mapped = match map_component(growth, descriptors, watch) {
+        let mapped = match map_component(growth, descriptors, watch, checkpoints) {
             Ok(mapped) => mapped,
             Err(error) if models.is_empty() || matches!(error, Error::Cancelled) => {
                 return Err(error);
@@ -80,12 +82,14 @@ fn map_component(
     mut growth: Growth,
     descriptors: &mut Descriptors,
     watch: &mut Watch,
+    checkpoints: &mut Checkpoints,
 ) -> Result<MappedModel, Error> {
-    let candidates = growth.candidates();
-    match growth.best_initial_pair(&candidates) {
-        Some(pair) => growth.initialise(&[pair], watch)?,
-        None => growth.initialise(&candidates, watch)?,
-    };
-    growth.grow(watch)?;
-    growth.refiner.run_stages(descriptors, watch)
+    if checkpoints.resumed.is_none() {
+        let candidates = growth.candidates();
+        match growth.best_initial_pair(&candidates) {
+            Some(pair) => growth.initialise(&[pair], watch)?,
+            None => growth.initialise(&candidates, watch)?,
+        };
+    }
+    growth.finish(descriptors, watch, checkpoints)
 }

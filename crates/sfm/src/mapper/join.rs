@@ -15,6 +15,7 @@ use tiepoint_adjust::{RefineIntrinsics, Term};
 use tiepoint_geometry::Rigid3;
 use tiepoint_scene::{Image, ImageId, ImagePair, PointId, Reconstruction, Track};
 
+use super::checkpoint::{Checkpoints, Step};
 use super::existing::similarity_of_poses;
 use super::growth::Growth;
 use super::input::Input;
@@ -36,19 +37,31 @@ const MAX_OVERLAP: usize = 20;
 const MIN_COMMON_POINTS: usize = 15;
 
 /// Joins models as far as the evidence goes. `models` come and stay in descending order of size.
+/// Those before the index `larger` are joined with none; `resumed`: the index of the one that an
+/// earlier run joined with it.
 pub(super) fn join_models(
     input: Input,
     models: &mut Vec<MappedModel>,
+    (mut larger, mut resumed): (usize, Option<usize>),
     terms: &mut [&mut dyn Term],
     descriptors: &mut Descriptors,
     watch: &mut Watch,
+    checkpoints: &mut Checkpoints,
 ) -> Result<(), Error> {
-    let mut larger = 0;
+    let begin = |checkpoints: &mut Checkpoints, models: &[MappedModel], larger, smaller| {
+        let images = models.iter().flat_map(|model| registered(&model.reconstruction)).collect();
+        checkpoints.begin(input, models, &images, Step::Join { larger, smaller });
+    };
     while larger + 1 < models.len() {
-        let found = (larger + 1..models.len()).find_map(|smaller| {
-            let [one, other] = [larger, smaller].map(|k| &models[k].reconstruction);
-            Some((smaller, joined(input, one, other)?))
-        });
+        begin(checkpoints, models, larger, resumed);
+        let found = match resumed.take() {
+            // The joined model is that of the checkpoint.
+            Some(smaller) => Some((smaller, input.scene.clone())),
+            None => (larger + 1..models.len()).find_map(|smaller| {
+                let [one, other] = [larger, smaller].map(|k| &models[k].reconstruction);
+                Some((smaller, joined(input, one, other)?))
+            }),
+        };
         let Some((smaller, model)) = found else {
             larger += 1;
             continue;
@@ -57,7 +70,9 @@ pub(super) fn join_models(
         let taken = others.flat_map(|(_, model)| registered(&model.reconstruction)).collect();
         let mut refiner = Refiner::new(input, model, reborrow(terms));
         refiner.solution.initial_pair = models[larger].initial_pair;
-        match finish(Growth::new(refiner, taken), descriptors, watch) {
+        begin(checkpoints, models, larger, Some(smaller));
+        // Registers images that neither model could register.
+        match Growth::new(refiner, taken).finish(descriptors, watch, checkpoints) {
             Ok(model) => models[larger] = model,
             Err(Error::Cancelled) => return Err(Error::Cancelled),
             // The models stay separate.
@@ -73,16 +88,6 @@ pub(super) fn join_models(
         larger = 0;
     }
     Ok(())
-}
-
-/// Registers images that neither model could register, and runs the stages.
-fn finish(
-    mut growth: Growth,
-    descriptors: &mut Descriptors,
-    watch: &mut Watch,
-) -> Result<MappedModel, Error> {
-    growth.grow(watch)?;
-    growth.refiner.run_stages(descriptors, watch)
 }
 
 /// The largest model first: by images, then by points.

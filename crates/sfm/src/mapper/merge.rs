@@ -5,7 +5,9 @@ use std::mem;
 use tiepoint_adjust::Term;
 use tiepoint_scene::Reconstruction;
 
+use super::checkpoint::{Checkpoints, Step};
 use super::input::Input;
+use super::join::registered;
 use super::refiner::Refiner;
 use super::solution::Solution;
 use crate::Error;
@@ -17,16 +19,19 @@ use crate::terms::reborrow;
 
 /// Merges the largest model with models of other cameras that have no common points with it but
 /// move as one rig. A merge is accepted if a rig constraint does not increase the error of held-out
-/// tracks.
+/// tracks. Models before `index` are compared already.
 pub(super) fn merge_rig_models(
     input: Input,
     models: &mut Vec<MappedModel>,
+    mut index: usize,
     terms: &mut [&mut dyn Term],
     descriptors: &mut Descriptors,
     watch: &mut Watch,
+    checkpoints: &mut Checkpoints,
 ) -> Result<(), Error> {
-    let mut index = 1;
     while index < models.len() {
+        let images = models.iter().flat_map(|model| registered(&model.reconstruction)).collect();
+        checkpoints.begin(input, models, &images, Step::Merge { index });
         let merged = merge_by_motion(&models[0].reconstruction, &models[index].reconstruction);
         // If the constraint fails, the models stay separate.
         let constrained =

@@ -1,6 +1,7 @@
 //! The incremental mapper.
 
 mod calibration;
+mod checkpoint;
 mod existing;
 mod extend;
 mod focal_trials;
@@ -25,5 +26,6 @@ mod test_scene;
 mod transaction;
 mod uncertain_focal_lengths;
 
+pub use checkpoint::CheckpointStore;
 pub use existing::ExistingPoses;
 pub use run::Mapper;

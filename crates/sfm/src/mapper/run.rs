@@ -5,11 +5,12 @@ use std::ops::ControlFlow;
 use tiepoint_adjust::Term;
 use tiepoint_scene::{CorrespondenceGraph, ImageId, KnownRigs, Reconstruction};
 
+use super::checkpoint::{CheckpointStore, Checkpoints, Finished, Step};
 use super::existing::ExistingPoses;
 use super::extend::extend;
 use super::incremental::{initial_focal_lengths, map_rest, without_model};
 use super::input::Input;
-use super::join::{join_models, sort_by_size};
+use super::join::{join_models, registered, sort_by_size};
 use super::merge::merge_rig_models;
 use crate::Error;
 use crate::event::{Event, Watch};
@@ -26,14 +27,23 @@ pub struct Mapper<'a> {
     terms: Vec<&'a mut dyn Term>,
     descriptors: Option<&'a mut Descriptors<'a>>,
     watch: Option<&'a mut Watch<'a>>,
+    checkpoints: Option<&'a mut (dyn CheckpointStore + 'a)>,
 }
 
 impl<'a> Mapper<'a> {
     /// `scene` gives cameras and images with keypoints. Its poses and points are ignored unless
     /// [`Mapper::existing`] is called.
     pub fn new(graph: &'a CorrespondenceGraph, scene: &'a Reconstruction) -> Self {
-        let (existing, known_rigs, descriptors, watch) = (None, None, None, None);
-        Self { graph, scene, existing, known_rigs, terms: Vec::new(), descriptors, watch }
+        Self {
+            graph,
+            scene,
+            existing: None,
+            known_rigs: None,
+            terms: Vec::new(),
+            descriptors: None,
+            watch: None,
+            checkpoints: None,
+        }
     }
 
     /// Goes on from the poses and points of the scene. The tracks are completed by the
@@ -80,6 +90,12 @@ impl<'a> Mapper<'a> {
         Self { watch: Some(watch), ..self }
     }
 
+    /// Keeps the state of the run from time to time, and goes on from the one that an earlier run
+    /// kept, to the same result. A run with terms keeps none: what terms have learned is their own.
+    pub fn checkpoints(self, store: &'a mut (dyn CheckpointStore + 'a)) -> Self {
+        Self { checkpoints: Some(store), ..self }
+    }
+
     /// Maps all images. Each connected component gives a model; the model with the most images
     /// comes first.
     ///
@@ -90,7 +106,8 @@ impl<'a> Mapper<'a> {
     /// triangulation; [`Error::Cancelled`] if the watch asks to stop.
     pub fn run(self, options: &MapperOptions) -> Result<Vec<MappedModel>, Error> {
         options.validate()?;
-        let Self { graph, scene, existing, known_rigs, mut terms, descriptors, watch } = self;
+        let Self { graph, scene, existing, known_rigs, mut terms, .. } = self;
+        let Self { descriptors, watch, checkpoints, .. } = self;
         if existing.is_some() && known_rigs.is_some() {
             return Err(Error::RigsOfExistingModel);
         }
@@ -110,24 +127,61 @@ impl<'a> Mapper<'a> {
         }
         options.tracks.two_view |= existing.is_none() && graph.num_images() == 2;
         let options = &options;
+        let checkpoints = &mut Checkpoints::new(checkpoints.filter(|_| terms.is_empty()));
         let mut blank = without_model(scene);
-        let focal_priors = &initial_focal_lengths(graph, &mut blank, options);
+        let (focal_priors, finished) = match checkpoints.resume(&mut blank) {
+            Some(resumed) => resumed,
+            None => (initial_focal_lengths(graph, &mut blank, options), Finished::default()),
+        };
+        let focal_priors = &focal_priors;
         let rig_pairs = &match options.rig {
             RigMode::Paper => rig_pairs(&blank),
             _ => Vec::new(),
         };
         let input = Input { graph, scene: &blank, options, focal_priors, rig_pairs, known_rigs };
-        if let Some(poses) = existing {
-            let first = extend(input, scene, poses, &mut terms, descriptors, watch)?;
-            return map_rest(input, vec![first], &mut terms, descriptors, watch);
+        let Finished { mut models, mut mapped_images, mut step } = finished;
+        if let Step::Grow = step {
+            let is_extended = existing.is_some();
+            if let Some(poses) = existing.filter(|_| models.is_empty()) {
+                let first =
+                    extend(input, scene, poses, &mut terms, descriptors, watch, checkpoints)?;
+                mapped_images = registered(&first.reconstruction);
+                models.push(first);
+            }
+            models = map_rest(
+                input,
+                models,
+                mapped_images,
+                &mut terms,
+                descriptors,
+                watch,
+                checkpoints,
+            )?;
+            if is_extended {
+                return Ok(models);
+            }
+            sort_by_size(&mut models);
+            step = Step::Join { larger: 0, smaller: None };
         }
-        let mut models = map_rest(input, Vec::new(), &mut terms, descriptors, watch)?;
-        sort_by_size(&mut models);
-        if known_rigs.is_none() {
-            join_models(input, &mut models, &mut terms, descriptors, watch)?;
+        if let Step::Join { larger, smaller } = step {
+            if known_rigs.is_none() {
+                let at = (larger, smaller);
+                join_models(input, &mut models, at, &mut terms, descriptors, watch, checkpoints)?;
+            }
+            step = Step::Merge { index: 1 };
         }
-        if matches!(options.rig, RigMode::Soft | RigMode::Rigid | RigMode::Auto) {
-            merge_rig_models(input, &mut models, &mut terms, descriptors, watch)?;
+        if let Step::Merge { index } = step
+            && matches!(options.rig, RigMode::Soft | RigMode::Rigid | RigMode::Auto)
+        {
+            merge_rig_models(
+                input,
+                &mut models,
+                index,
+                &mut terms,
+                descriptors,
+                watch,
+                checkpoints,
+            )?;
         }
         Ok(models)
     }

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use tiepoint_adjust::RefineIntrinsics;
 
+use super::checkpoint::Checkpoints;
 use super::input::Input;
 use super::intrinsics_sds::intrinsics_sds;
 use super::refinement_schedule::RefinementSchedule;
@@ -86,15 +87,28 @@ impl Refiner<'_> {
         mut self,
         descriptors: &mut Descriptors,
         watch: &mut Watch,
+        checkpoints: &mut Checkpoints,
     ) -> Result<MappedModel, Error> {
         self.restore_calibration_priors();
         let readout = self.input.options.readout;
         self.solution.shutters =
             readout.map(|readout| RollingShutters::new(&self.solution.model, readout));
-        let mut failures = Vec::new();
+        self.run_stages_from(0, Vec::new(), descriptors, watch, checkpoints)
+    }
+
+    /// [`Refiner::run_stages`] from the stage of an index on; `failures` are those before it.
+    pub(super) fn run_stages_from(
+        mut self,
+        first: usize,
+        mut failures: Vec<Failure>,
+        descriptors: &mut Descriptors,
+        watch: &mut Watch,
+        checkpoints: &mut Checkpoints,
+    ) -> Result<MappedModel, Error> {
         let constant_poses = self.constant_poses().is_some();
-        let stages = STAGES.into_iter().filter(|stage| !constant_poses || !stage.moves_poses());
-        for stage in stages {
+        let stages = STAGES.into_iter().enumerate().skip(first);
+        for (index, stage) in stages.filter(|(_, stage)| !constant_poses || !stage.moves_poses()) {
+            checkpoints.stages(self.input.scene, &self.solution, index, &failures);
             let Some(optional) = stage.optional() else {
                 self.run_stage(stage, descriptors, watch)?;
                 continue;
@@ -110,6 +124,10 @@ impl Refiner<'_> {
                 }
             }
         }
+        Ok(self.finished(failures))
+    }
+
+    fn finished(mut self, failures: Vec<Failure>) -> MappedModel {
         let options = self.adjust_options(&RefinementSchedule::FINAL);
         let mut intrinsics_sds = match self.solution.intrinsics_sds.take() {
             Some(known) => known,
@@ -138,7 +156,7 @@ impl Refiner<'_> {
         let mut shutters = shutters.map_or(Vec::new(), |shutters| shutters.get().to_vec());
         shutters.retain(|shutter| registered.contains(&shutter.camera));
         let row_poses = row_poses(&model, &shutters);
-        Ok(MappedModel {
+        MappedModel {
             reconstruction: model,
             initial_pair,
             is_in_frame_of_terms,
@@ -149,7 +167,7 @@ impl Refiner<'_> {
             row_poses,
             num_loop_pairs,
             failures,
-        })
+        }
     }
 
     fn run_stage(

@@ -6,7 +6,7 @@ use std::fmt;
 use tiepoint_geometry::nalgebra::{Matrix3, SMatrix, SVector, UnitQuaternion, Vector3};
 use tiepoint_geometry::numeric::{MEDIAN_NORM_OF_TWO, median};
 use tiepoint_geometry::solvers::umeyama;
-use tiepoint_geometry::{Loss, Rng, Sim3, so3};
+use tiepoint_geometry::{Loss, Rigid3, Rng, Sim3, so3};
 use tiepoint_scene::{ImageId, Reconstruction};
 
 use super::measured::MeasuredPosition;
@@ -41,14 +41,15 @@ const MAX_LEVEL_SD_RAD: f64 = 0.35;
 const MIN_UPRIGHT: f64 = 0.3;
 /// A line with a larger vertical component of its direction has no heading.
 const MAX_LINE_SLOPE: f64 = 0.9;
-/// A model is upside down if the y axis of this share of the images is upwards by more than 30°, or
-/// the optical axis.
+/// A model on flat places is upside down if the y axis of this share of the images is upwards by
+/// more than 30°, or the optical axis.
 const UPSIDE_DOWN_SHARE: f64 = 0.8;
 const MAX_SLOPE: f64 = 0.5;
 /// A path is mirrored if its mirror image fits with less than this share of the residuals.
 const MAX_MIRRORED: f64 = 0.5;
-/// Spread across a line, in standard deviations, which determines the rotation about it. Errors of
-/// receivers are alike over minutes, so that more positions do not need less.
+/// Spread across a line, in standard deviations, which determines the rotation about it, and across
+/// a plane, which tells places from their mirror image. Errors of receivers are alike over minutes,
+/// so that more positions do not need less.
 const MIN_SPREAD: f64 = 3.0;
 
 /// How a model lies in the frame of measured positions.
@@ -58,7 +59,7 @@ pub struct PositionAlignment {
     pub term_from_model: Sim3,
     /// Number of images with a pose and a position.
     pub num_compared: usize,
-    /// Images whose positions are wrong.
+    /// Images whose positions deviate by more than three deviations.
     pub outliers: Vec<ImageId>,
     /// Standard deviations of the positions about the model, along a horizontal axis and of the
     /// height, in metres; infinite for the height if too few positions have one. They contain
@@ -244,7 +245,11 @@ pub fn align(
     }
     let (scale_sd, heading_sd_rad) = precision(&pairs, &fit)?;
     let similarity = fit.0;
-    if is_upside_down(&pairs, &similarity) {
+    // Else the images gave the vertical.
+    if level_sd_rad.is_none() && {
+        let axes: Vec<Matrix3<f64>> = pairs.iter().map(|pair| pair.axes).collect();
+        is_upside_down(&axes, &similarity, &whitened_places(&pairs, &similarity))
+    } {
         return Err(Misfit::UpsideDown);
     }
     let factor = scale_of_residuals(&pairs, &similarity).max(1.0);
@@ -278,7 +283,7 @@ fn precision(
     let sigma_m = deviations(pairs, similarity)[0];
     // No number is within no bound.
     let is_within = |sd: f64, most: f64| sd <= most;
-    if !is_within(scale_sd, MAX_SCALE_SD) {
+    if !is_within(scale_sd, MAX_SCALE_SD) || !sigma_m.is_finite() {
         return Err(Misfit::NoScale { scale_sd, sigma_m });
     }
     let is_heading = !is_within(heading_sd_rad, MAX_ROTATION_SD_RAD);
@@ -296,7 +301,7 @@ fn pair(model: &Reconstruction, position: &MeasuredPosition) -> Option<Pair> {
         found: pose.origin_in_a(),
         measured: position.xyz,
         sigmas: Vector3::new(1.0, 1.0, vertical),
-        axes: *pose.rotation.inverse().to_rotation_matrix().matrix(),
+        axes: axes(pose),
     };
     if let Some(sigmas_m) = position.sigmas_m {
         pair.set_sigmas(sigmas_m);
@@ -603,10 +608,40 @@ fn vertical(
     (sd_rad <= MAX_LEVEL_SD_RAD && -down.dot(&up) >= MIN_UPRIGHT).then_some((up, sd_rad))
 }
 
-fn is_upside_down(pairs: &[Pair], similarity: &Sim3) -> bool {
+/// Whether a similarity to places, which are in deviations, turns images upside down, and may be
+/// that of the mirror image: only flat places fit theirs.
+pub(super) fn is_upside_down(
+    axes: &[Matrix3<f64>],
+    similarity: &Sim3,
+    places: &[Vector3<f64>],
+) -> bool {
     let upwards = |axis: usize| {
-        let is_up = |pair: &&Pair| (similarity.rotation * pair.axes.column(axis)).z > MAX_SLOPE;
-        pairs.iter().filter(is_up).count() as f64
+        let is_up = |axes: &&Matrix3<f64>| (similarity.rotation * axes.column(axis)).z > MAX_SLOPE;
+        axes.iter().filter(is_up).count() as f64
     };
-    upwards(1).max(upwards(2)) > UPSIDE_DOWN_SHARE * pairs.len() as f64
+    let thickness = scatter(places).symmetric_eigenvalues().min();
+    thickness <= MIN_SPREAD * MIN_SPREAD * places.len() as f64
+        && upwards(1).max(upwards(2)) > UPSIDE_DOWN_SHARE * axes.len() as f64
+}
+
+/// Whether a similarity to places turns a model upside down, and the places are so flat, for their
+/// deviation `sigma_m`, that they would fit with two coordinates swapped as well.
+pub fn may_be_mirrored(
+    model: &Reconstruction,
+    similarity: &Sim3,
+    places: &[Vector3<f64>],
+    sigma_m: f64,
+) -> bool {
+    let places: Vec<Vector3<f64>> = places.iter().map(|place| place / sigma_m).collect();
+    is_upside_down(&axes_of(model), similarity, &places)
+}
+
+/// The axes of the cameras of a model.
+pub(super) fn axes_of(model: &Reconstruction) -> Vec<Matrix3<f64>> {
+    model.registered().map(|(_, _, pose)| axes(pose)).collect()
+}
+
+/// The axes of a camera, in the world.
+fn axes(cam_from_world: &Rigid3) -> Matrix3<f64> {
+    *cam_from_world.rotation.inverse().to_rotation_matrix().matrix()
 }

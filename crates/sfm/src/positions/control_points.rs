@@ -5,7 +5,7 @@ use tiepoint_geometry::triangulate::{ViewRay, triangulate};
 use tiepoint_geometry::{Sim3, solvers};
 use tiepoint_scene::{ImageId, Reconstruction};
 
-use super::alignment::{Free, Pair, refined};
+use super::alignment::{Free, Pair, axes_of, is_upside_down, refined};
 
 /// Largest distance of a mark from its point in the image: four deviations of marks by hand.
 const MAX_MARK_PX: f64 = 12.0;
@@ -65,6 +65,8 @@ pub enum ControlMisfit {
         /// Standard deviation of the scale, relative to it.
         scale_sd: f64,
     },
+    /// The model would be upside down: flat points are mirrored, as by swapped coordinates.
+    UpsideDown,
 }
 
 /// A model in the frame of control points.
@@ -108,6 +110,13 @@ pub fn align_to_points(
         });
         let Some(best) = without.min_by(|a, b| a.0.total_cmp(&b.0)) else { break };
         (cost, similarity, used) = best;
+    }
+    let place = |&k: &usize| {
+        Some(points[k].xyz.component_div(&sigmas(&points[k], found[k].as_ref()?, &similarity)))
+    };
+    let places: Vec<Vector3<f64>> = used.iter().filter_map(place).collect();
+    if is_upside_down(&axes_of(model), &similarity, &places) {
+        return Err(ControlMisfit::UpsideDown);
     }
     let of_point = |(k, point): (usize, &MarkedPoint)| {
         let registered = point.marks.iter().filter(|(image, _)| has_pose(model, *image)).count();

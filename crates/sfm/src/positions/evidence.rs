@@ -10,6 +10,8 @@ use super::measured::MeasuredPosition;
 /// every fifth of at most this many blocks.
 const NUM_BLOCKS: usize = 50;
 const HELD_OUT: usize = 5;
+/// Fewest blocks with held-out positions: with a deviation of two, any difference is no chance.
+const MIN_BLOCKS: usize = 5;
 /// Smallest t-statistic of the differences of the blocks that is no chance.
 const MIN_T: f64 = 2.0;
 /// Least decrease of the squared distance, as a part of it: positions that contradict the images
@@ -32,6 +34,8 @@ pub struct Comparison {
     pub t: f64,
     /// Number of images with a pose.
     pub images: [usize; 2],
+    /// Number of images in the largest model without, and of those that the largest one with has.
+    pub kept: [usize; 2],
     /// Mean reprojection errors, in pixels.
     pub error_px: [f64; 2],
 }
@@ -39,10 +43,29 @@ pub struct Comparison {
 impl Comparison {
     /// Whether the models with the term are better.
     pub fn is_better(&self) -> bool {
-        self.t >= MIN_T
-            && self.gain >= MIN_GAIN
-            && self.images[1] as f64 >= MIN_IMAGES * self.images[0] as f64
-            && self.error_px[1] <= MAX_ERROR * self.error_px[0]
+        self.why_not_better().is_none()
+    }
+
+    /// Why the models with the term are no better, as a relative clause; `None` if they are.
+    pub fn why_not_better(&self) -> Option<String> {
+        let loses = |[before, after]: [usize; 2]| (after as f64) < MIN_IMAGES * before as f64;
+        // No number is none.
+        let is_at_least = |value: f64, least: f64| value >= least;
+        if !is_at_least(self.gain, MIN_GAIN) {
+            return Some(format!("which is not better by {:.0} %", 100.0 * MIN_GAIN));
+        }
+        if !is_at_least(self.t, MIN_T) {
+            return Some("which may be chance".to_owned());
+        }
+        for [before, after] in [self.images, self.kept] {
+            if loses([before, after]) {
+                return Some(format!("which would lose {} of {before} images", before - after));
+            }
+        }
+        let [before, after] = self.error_px;
+        (!is_at_least(MAX_ERROR * before, after)).then(|| {
+            format!("which would raise the reprojection error from {before:.3} px to {after:.3} px")
+        })
     }
 }
 
@@ -66,7 +89,8 @@ pub fn held_out(positions: &[MeasuredPosition]) -> (Vec<MeasuredPosition>, Vec<M
 /// images that have a pose in both. Those without a height do not count.
 /// `sigmas_m` are the deviations about the first model, which count where stated ones are smaller:
 /// wrong positions may state any. Each model comes with its similarity to the frame of the
-/// positions. `None` without two blocks of positions.
+/// positions. `None` with fewer than five blocks of
+/// positions.
 pub fn compare(
     without: &[(&Reconstruction, Sim3)],
     with: &[(&Reconstruction, Sim3)],
@@ -102,10 +126,10 @@ pub fn compare(
         }
     }
     let gains: Vec<f64> = blocks.iter().map(|(_, sum, count)| sum / *count as f64).collect();
-    let count = gains.len() as f64;
-    if count < 2.0 {
+    if gains.len() < MIN_BLOCKS {
         return None;
     }
+    let count = gains.len() as f64;
     let mean = gains.iter().sum::<f64>() / count;
     let variance = gains.iter().map(|gain| (gain - mean).powi(2)).sum::<f64>() / (count - 1.0);
     let images = |models: &[(&Reconstruction, Sim3)]| {
@@ -122,8 +146,17 @@ pub fn compare(
         gain: gained / total.max(f64::MIN_POSITIVE),
         t: mean / (variance / count).sqrt().max(f64::MIN_POSITIVE),
         images: [images(without), images(with)],
+        kept: kept(without, with),
         error_px: [error_px(without), error_px(with)],
     })
+}
+
+/// Number of images of the first of these models, and of those that the first one `with` has.
+fn kept(without: &[(&Reconstruction, Sim3)], with: &[(&Reconstruction, Sim3)]) -> [usize; 2] {
+    let [before, after] = [without, with].map(|models| models.first().map(|(model, _)| *model));
+    let has = |id: ImageId| after.is_some_and(|after| after.image(id).cam_from_world().is_some());
+    let images = || before.into_iter().flat_map(|before| before.registered());
+    [images().count(), images().filter(|(id, ..)| has(*id)).count()]
 }
 
 /// The centre of an image in the first model that has its pose, in the frame of the positions.

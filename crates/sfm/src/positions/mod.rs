@@ -12,7 +12,7 @@ mod evidence;
 mod measured;
 mod term;
 
-pub use alignment::{Misfit, PositionAlignment, align};
+pub use alignment::{Misfit, PositionAlignment, align, may_be_mirrored};
 pub use control_points::{
     ControlAlignment, ControlMisfit, MarkedPoint, PointError, align_to_points,
 };

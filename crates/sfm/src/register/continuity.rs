@@ -50,6 +50,45 @@ struct UsualMotion {
     acceleration: f64,
 }
 
+/// A camera centre at a time.
+#[derive(Clone, Copy)]
+struct Place {
+    time_s: f64,
+    centre: Vector3<f64>,
+}
+
+impl Place {
+    fn of(model: &Reconstruction, (time_s, image): &(f64, ImageId)) -> Option<Self> {
+        Some(Self { time_s: *time_s, centre: centre_of(model, *image)? })
+    }
+
+    /// In units of the model a second; `None` for equal times.
+    fn velocity_to(&self, to: &Self) -> Option<Vector3<f64>> {
+        let velocity = (to.centre - self.centre) / (to.time_s - self.time_s);
+        velocity.iter().all(|number| number.is_finite()).then_some(velocity)
+    }
+}
+
+impl UsualMotion {
+    /// Whether the motion from `beyond` to `near` does not lead to a place. Without `beyond` the
+    /// velocity is zero.
+    fn is_out_of_reach(&self, place: &Place, near: &Place, beyond: Option<&Place>) -> bool {
+        let elapsed_s = place.time_s - near.time_s;
+        let reach = self.speed * elapsed_s.abs();
+        let known = beyond.and_then(|one| Some((one.time_s, one.velocity_to(near)?)));
+        let (velocity, limit) = match known {
+            Some((beyond_s, velocity)) => {
+                let span_s = (place.time_s - beyond_s).abs();
+                let change = self.acceleration * elapsed_s.abs() * span_s / 2.0;
+                let least = MIN_DEVIATION * reach;
+                (velocity, (MAX_ACCELERATIONS * change).max(least).min(MAX_DEVIATION * reach))
+            }
+            None => (Vector3::zeros(), MAX_DEVIATION * reach),
+        };
+        elapsed_s != 0.0 && (place.centre - near.centre - velocity * elapsed_s).norm() > limit
+    }
+}
+
 impl Timelines {
     pub(crate) fn new(model: &Reconstruction) -> Self {
         let mut cameras: BTreeMap<CameraId, Vec<(f64, ImageId)>> = BTreeMap::new();
@@ -124,6 +163,34 @@ impl Timelines {
         Some(UsualMotion { speed: usual(speeds)?, acceleration })
     }
 
+    /// A part of a drive that is out of reach of the images before and after it, although these are
+    /// in reach of each other: at most [`MAX_SEARCH`] images of a camera, as at the wrong copy of a
+    /// place.
+    pub(crate) fn part_out_of_reach(&self, model: &Reconstruction) -> Option<Vec<ImageId>> {
+        self.cameras.values().find_map(|images| {
+            let place = |image: &(f64, ImageId)| Some((image.1, Place::of(model, image)?));
+            let posed: Vec<(ImageId, Place)> = images.iter().filter_map(place).collect();
+            let at = |index: usize| &posed[index].1;
+            // The motion before the first or after the second does not lead to the other.
+            let contradictions = |usual: &UsualMotion, one: usize, next: usize| {
+                [
+                    usual.is_out_of_reach(at(next), at(one), Some(at(one - 1))),
+                    usual.is_out_of_reach(at(one), at(next), Some(at(next + 1))),
+                ]
+            };
+            (1..posed.len().saturating_sub(3)).find_map(|before| {
+                let usual = self.usual_motion(model, posed[before].0)?;
+                let is_jump = |one: usize| contradictions(&usual, one, one + 1) == [true; 2];
+                let last = (posed.len() - 2).min(before + MAX_SEARCH + 1);
+                let is_after = |after: &usize| {
+                    is_jump(after - 1) && contradictions(&usual, before, *after) == [false; 2]
+                };
+                let after = (before + 2..=last).find(is_after).filter(|_| is_jump(before))?;
+                Some(posed[before + 1..after].iter().map(|(image, _)| *image).collect())
+            })
+        })
+    }
+
     /// What the motion of the camera tells of the pose of an image; `None` as for
     /// [`Timelines::usual_motion`].
     pub(crate) fn expected_motion<'a>(
@@ -153,26 +220,11 @@ pub(crate) struct ExpectedMotion<'a> {
 impl ExpectedMotion<'_> {
     /// Whether a pose contradicts the motion.
     pub(crate) fn contradicts(&self, cam_from_world: &Rigid3) -> bool {
-        let centre = cam_from_world.origin_in_a();
+        let place = Place { time_s: self.time_s, centre: cam_from_world.origin_in_a() };
         let contradicts = |side: &[&(f64, ImageId)], step: usize| {
-            let (near, beyond) = (side[step], side.get(step + 1));
-            let (elapsed_s, Some(from)) = (self.time_s - near.0, centre_of(self.model, near.1))
-            else {
-                return false;
-            };
-            let reach = self.usual.speed * elapsed_s.abs();
-            let known = beyond.and_then(|one| Some((one.0, velocity(self.model, one, near)?)));
-            let (velocity, limit) = match known {
-                Some((beyond_s, velocity)) => {
-                    let span_s = (self.time_s - beyond_s).abs();
-                    let change = self.usual.acceleration * elapsed_s.abs() * span_s / 2.0;
-                    let least = MIN_DEVIATION * reach;
-                    (velocity, (MAX_ACCELERATIONS * change).max(least).min(MAX_DEVIATION * reach))
-                }
-                // Without a second registered image on that side, the velocity is zero.
-                None => (Vector3::zeros(), MAX_DEVIATION * reach),
-            };
-            elapsed_s != 0.0 && (centre - from - velocity * elapsed_s).norm() > limit
+            let near = Place::of(self.model, side[step]);
+            let beyond = side.get(step + 1).and_then(|beyond| Place::of(self.model, beyond));
+            near.is_some_and(|near| self.usual.is_out_of_reach(&place, &near, beyond.as_ref()))
         };
         self.sides
             .iter()
@@ -204,8 +256,7 @@ fn velocity(
     from: &(f64, ImageId),
     to: &(f64, ImageId),
 ) -> Option<Vector3<f64>> {
-    let velocity = (centre_of(model, to.1)? - centre_of(model, from.1)?) / (to.0 - from.0);
-    velocity.iter().all(|number| number.is_finite()).then_some(velocity)
+    Place::of(model, from)?.velocity_to(&Place::of(model, to)?)
 }
 
 #[cfg(test)]
@@ -215,7 +266,7 @@ mod tests {
 
     use super::*;
 
-    const IMAGES: usize = 16;
+    const IMAGES: usize = 32;
 
     fn at(x: f64) -> Rigid3 {
         Rigid3 { translation: Vector3::new(-x, 0.0, 0.0), ..Rigid3::identity() }
@@ -302,5 +353,37 @@ mod tests {
         assert!(Timelines::new(&twice).expected_motion(&twice, images[last + 1]).is_none());
         let (model, images) = drive(last - 1);
         assert_eq!(Timelines::new(&model).usual_motion(&model, images[last]), None);
+    }
+
+    /// Windows of a facade apart, as the wrong copies of a place are.
+    #[test]
+    fn parts_at_a_wrong_copy_of_a_place_are_out_of_reach() {
+        const DISPLACED: f64 = 4.0;
+        let out_of_reach = |displaced: &[usize]| {
+            let (mut model, images) = drive(IMAGES);
+            for &place in displaced {
+                model.register(images[place], at(place as f64 + DISPLACED));
+            }
+            let timelines = Timelines::new(&model);
+            let mut found = Vec::new();
+            while let Some(part) = timelines.part_out_of_reach(&model) {
+                part.iter().for_each(|image| model.deregister(*image));
+                let place = |image| images.iter().position(|other| *other == image).unwrap();
+                found.extend(part.into_iter().map(place));
+            }
+            found
+        };
+        let wrong: [&[usize]; 3] = [&[], &[9], &[20, 21, 22]];
+        wrong.iter().for_each(|wrong| assert_eq!(out_of_reach(wrong), *wrong));
+        // The ends of a drive, and parts that do not come back, may be right.
+        let from_ten: Vec<usize> = (10..IMAGES).collect();
+        let right: [&[usize]; 3] = [&[0, 1], &[30, 31], &from_ten];
+        right.iter().for_each(|right| assert_eq!(out_of_reach(right), [0; 0]));
+        // A camera that stops and starts again is where its motion leads.
+        let (mut model, images) = drive(IMAGES);
+        for (place, image) in images.iter().enumerate() {
+            model.register(*image, at(place.min(12).max(place.saturating_sub(6)) as f64));
+        }
+        assert_eq!(Timelines::new(&model).part_out_of_reach(&model), None);
     }
 }

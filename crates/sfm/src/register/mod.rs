@@ -17,5 +17,5 @@ pub(crate) use continuity::Timelines;
 pub(crate) use evidence::Evidence;
 pub use localize::{Localization, QueryCamera, localize_image};
 pub(crate) use missing::contradicted;
-pub(crate) use next_image::NextBestView;
+pub(crate) use next_image::{History, NextBestView};
 pub use options::RegisterOptions;

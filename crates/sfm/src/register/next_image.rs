@@ -20,6 +20,7 @@ use super::options::RegisterOptions;
 use super::recall::Recall;
 use super::visibility::{Visibility, visibility};
 use crate::known_frames::KnownFrames;
+use crate::saved::saved;
 
 /// Maximum number of failed registrations of an image between resets, and of registrations of an
 /// image that filtering removed again.
@@ -47,6 +48,17 @@ pub(crate) struct NextBestView {
     deferred: BTreeMap<ImageId, DeferredImage>,
 }
 
+/// What the selection remembers of its attempts.
+#[derive(Clone)]
+pub(crate) struct History {
+    trials: BTreeMap<ImageId, usize>,
+    registrations: BTreeMap<ImageId, usize>,
+    recalls: BTreeMap<ImageId, Option<f64>>,
+    deferred: BTreeMap<ImageId, DeferredImage>,
+}
+
+saved! { struct History { trials, registrations, recalls, deferred } }
+
 /// An image that could be registered, but waits for others.
 #[derive(Clone, Copy, Debug)]
 struct DeferredImage {
@@ -56,6 +68,8 @@ struct DeferredImage {
     /// implausible.
     recall: f64,
 }
+
+saved! { struct DeferredImage { num_points, recall } }
 
 impl NextBestView {
     pub(crate) fn new(scene: &Reconstruction, frames: KnownFrames, seed: u64) -> Self {
@@ -68,6 +82,20 @@ impl NextBestView {
             recalls: BTreeMap::new(),
             deferred: BTreeMap::new(),
         }
+    }
+
+    /// A copy of what is remembered.
+    pub(crate) fn history(&self) -> History {
+        let Self { trials, registrations, recalls, deferred, .. } = self;
+        let (trials, registrations) = (trials.clone(), registrations.clone());
+        History { trials, registrations, recalls: recalls.clone(), deferred: deferred.clone() }
+    }
+
+    /// Goes on from what an earlier run remembered.
+    pub(crate) fn restore(&mut self, history: History) {
+        let History { trials, registrations, recalls, deferred } = history;
+        (self.trials, self.registrations) = (trials, registrations);
+        (self.recalls, self.deferred) = (recalls, deferred);
     }
 
     /// Failed images may be tried again.
@@ -86,6 +114,11 @@ impl NextBestView {
             let recall = Recall::of_registered(graph, model, image).share(options);
             self.recalls.insert(self.frames.first_of(model, image), recall);
         }
+    }
+
+    /// A part of a drive that is out of reach of the parts before and after it.
+    pub(crate) fn part_out_of_reach(&self, model: &Reconstruction) -> Option<Vec<ImageId>> {
+        self.timelines.part_out_of_reach(model)
     }
 
     /// The frames that are registered as a whole.

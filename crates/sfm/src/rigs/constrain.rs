@@ -32,7 +32,7 @@ use super::covariance::extrinsics_covariances;
 use super::extrinsics::{RigConstraint, RigExtrinsics, SplitImage, relative_poses};
 use super::frames::{add_frames, register_rigidly};
 use super::gating::UnmatchedImages;
-use super::held_out::{HeldOutComparison, held_out_observations};
+use super::held_out::{HeldOutChange, HeldOutComparison, held_out_observations};
 use super::pairs::RigPair;
 use super::rematch::{Descriptors, rematch};
 use super::sensor_pair::{ClockState, SensorPair, sensor_pairs};
@@ -95,6 +95,8 @@ struct ConstraintSearch {
     /// The model without a rig constraint.
     off: Reconstruction,
     error_off_px: f64,
+    /// Change of the error by the accepted constraint.
+    held_out_change: Option<HeldOutChange>,
     /// The accepted constraint, if any.
     best: Option<ConstrainedModel>,
     /// Images of repaired splits that had no matches across cameras.
@@ -166,6 +168,7 @@ impl Context<'_> {
         Ok(Some(ConstraintSearch {
             off,
             error_off_px: comparison.error_off_px,
+            held_out_change: best.as_ref().and_then(|best| comparison.change(&best.model)),
             best,
             split_images,
             limit,
@@ -179,7 +182,7 @@ impl Context<'_> {
         found: ConstraintSearch,
         split: Option<SplitRepair>,
     ) -> Result<CalibratedRig, Error> {
-        let ConstraintSearch { off, error_off_px, best, limit, .. } = found;
+        let ConstraintSearch { off, error_off_px, held_out_change, best, limit, .. } = found;
         let (mut all_extrinsics, mut error_px) = (Vec::new(), error_off_px);
         match best {
             Some(constrained) => {
@@ -222,8 +225,23 @@ impl Context<'_> {
                 statistics: relative_pose_statistics(&poses),
             });
         }
-        let constraint = all_extrinsics.first().map(|extrinsics| extrinsics.constraint);
-        Ok(CalibratedRig { constraint, cameras, bad_pairs, split, error_off_px, error_px, limit })
+        let all = sensor_pairs(model).into_iter().filter(|pair| {
+            !cameras.is_empty()
+                && !pair.referenced_images(model).is_empty()
+                && cameras.iter().all(|camera| camera.sensor_pair.other != pair.other)
+        });
+        let unconstrained = all.map(|pair| pair.other).collect();
+        Ok(CalibratedRig {
+            constraint: loosest(&all_extrinsics),
+            cameras,
+            bad_pairs,
+            split,
+            error_off_px,
+            error_px,
+            held_out_change,
+            unconstrained,
+            limit,
+        })
     }
 
     /// Resets unobservable clocks to their time stamps and stores unobservable directions. Returns
@@ -267,4 +285,19 @@ impl Context<'_> {
         }
         Ok(has_changed)
     }
+}
+
+/// The constraint with the largest standard deviations: first of the centre, then of the rotation.
+fn loosest(all_extrinsics: &[RigExtrinsics]) -> Option<RigConstraint> {
+    let sigmas = |constraint: &RigConstraint| match *constraint {
+        RigConstraint::Soft { sigma_translation, sigma_rotation_rad } => {
+            [sigma_translation, sigma_rotation_rad]
+        }
+        RigConstraint::Rigid => [0.0; 2],
+    };
+    let constraints = all_extrinsics.iter().map(|extrinsics| extrinsics.constraint);
+    constraints.max_by(|a, b| {
+        let [a, b] = [sigmas(a), sigmas(b)];
+        a[0].total_cmp(&b[0]).then(a[1].total_cmp(&b[1]))
+    })
 }

@@ -29,7 +29,7 @@ const SIGMA_STEP: f64 = 3.0;
 const MAX_STEPS: usize = 8;
 /// Maximum relative increase of the held-out error by the constraint. Lens biases cause an
 /// increase: on KITTI 01 a rigid rig causes 6 %. Clock errors that matter cause far more.
-const HELD_OUT_TOLERANCE: f64 = 0.08;
+pub(super) const HELD_OUT_TOLERANCE: f64 = 0.08;
 /// Maximum relative increase of the held-out error by tightening the rotation as well as the
 /// translation. Above it the mount is flexible, and the rotation's standard deviation stays. The
 /// increase is 3 % for a mount that swings by a tenth of a degree (synthetic features with 0.5 px
@@ -47,12 +47,13 @@ pub(super) struct ConstrainedModel {
     pub(super) model: Reconstruction,
     pub(super) all_extrinsics: Vec<RigExtrinsics>,
     pub(super) error_px: f64,
+    /// The largest standard deviations of a camera.
     pub(super) sigmas: (f64, f64),
 }
 
 impl ConstrainedModel {
     /// Whether the residuals of translation and of rotation are consistent for all cameras.
-    fn residuals_consistent(&self) -> [bool; 2] {
+    pub(super) fn residuals_consistent(&self) -> [bool; 2] {
         let each = self
             .all_extrinsics
             .iter()
@@ -80,10 +81,10 @@ pub(super) struct SigmaSelection {
 }
 
 impl Context<'_> {
-    /// Selects the standard deviations of soft constraints. `model` and the clocks end at the last
-    /// accepted step. Splits without matches across cameras are repaired only if the held-out error
-    /// permits it.
-    pub(super) fn select_sigmas(
+    /// Selects common standard deviations of soft constraints. `model` and the clocks end at the
+    /// last accepted step. Splits without matches across cameras are repaired only if the held-out
+    /// error permits it.
+    pub(super) fn select_common_sigmas(
         &mut self,
         model: &mut Reconstruction,
         sensor_pairs: &mut [SensorPair],
@@ -176,12 +177,7 @@ impl Context<'_> {
                 }
                 break;
             }
-            for extrinsics in &all_extrinsics {
-                sensor_pairs
-                    .iter_mut()
-                    .filter(|sensor_pair| sensor_pair.other == extrinsics.sensor_pair.other)
-                    .for_each(|sensor_pair| sensor_pair.clock = extrinsics.sensor_pair.clock);
-            }
+            adopt_clocks(sensor_pairs, &all_extrinsics);
             let constrained =
                 ConstrainedModel { model: candidate.clone(), all_extrinsics, error_px, sigmas };
             if constrained.residuals_consistent() == [true; 2] || is_mandatory {
@@ -237,7 +233,7 @@ impl Context<'_> {
     /// Moves images of a split near to their extrinsics with decreasing standard deviations and
     /// constant clocks. In a single step the adjustment would need hundreds of iterations and would
     /// move the clocks to wrong values.
-    fn approach_extrinsics(
+    pub(super) fn approach_extrinsics(
         &mut self,
         model: &mut Reconstruction,
         all_extrinsics: &mut [RigExtrinsics],
@@ -264,6 +260,16 @@ impl Context<'_> {
             }
         }
         Ok(())
+    }
+}
+
+/// Sets the clocks to those of an adjusted model.
+pub(super) fn adopt_clocks(sensor_pairs: &mut [SensorPair], all_extrinsics: &[RigExtrinsics]) {
+    for extrinsics in all_extrinsics {
+        sensor_pairs
+            .iter_mut()
+            .filter(|sensor_pair| sensor_pair.other == extrinsics.sensor_pair.other)
+            .for_each(|sensor_pair| sensor_pair.clock = extrinsics.sensor_pair.clock);
     }
 }
 

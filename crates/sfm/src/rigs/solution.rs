@@ -2,15 +2,18 @@
 
 use tiepoint_geometry::Rigid3;
 use tiepoint_rig::RelativePoseStatistics;
+use tiepoint_scene::CameraId;
 
 use super::extrinsics::{ExtrinsicsCovariance, RigConstraint};
+use super::held_out::HeldOutChange;
 use super::pairs::RigPair;
 use super::sensor_pair::SensorPair;
 
 /// Constraint of a model's cameras, their calibration, and the errors that led to the choice.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CalibratedRig {
-    /// The constraint; `None` if every constraint increased the error of the held-out tracks.
+    /// The loosest constraint of a camera; `None` if every constraint increased the error of the
+    /// held-out tracks.
     pub constraint: Option<RigConstraint>,
     /// The calibration of each constrained camera.
     pub cameras: Vec<CalibratedCamera>,
@@ -23,6 +26,11 @@ pub struct CalibratedRig {
     pub error_off_px: f64,
     /// Error of the held-out tracks with the constraint, in pixels.
     pub error_px: f64,
+    /// Change of this error by the constraint; `None` without a constraint, or if the held-out
+    /// tracks do not spread over the drive.
+    pub held_out_change: Option<HeldOutChange>,
+    /// Cameras that permit no constraint although others do.
+    pub unconstrained: Vec<CameraId>,
     /// With a soft constraint: why it is not tighter.
     pub limit: Option<ConstraintLimit>,
 }

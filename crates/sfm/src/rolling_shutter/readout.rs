@@ -1,5 +1,7 @@
 use tiepoint_scene::CameraId;
 
+use crate::saved::saved;
+
 /// Readout time: time from the first row of an image to the last one.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Readout {
@@ -19,3 +21,5 @@ pub struct RollingShutter {
     /// Standard deviation in seconds, if estimated; infinite if the images do not determine it.
     pub readout_sd_s: Option<f64>,
 }
+
+saved! { struct RollingShutter { camera, readout_s, readout_sd_s } }

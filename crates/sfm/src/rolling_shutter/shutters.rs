@@ -22,6 +22,7 @@ use super::motion::{readout_s, shifted};
 use super::readout::{Readout, RollingShutter};
 use super::term::{ShutterTerm, adjust_readouts, with_standard_deviations};
 use crate::Error;
+use crate::saved::{Reader, Saved, Writer};
 
 /// The estimation ends if the readout times change by less than this, in seconds, or after
 /// `MAX_STEPS` adjustments.
@@ -115,5 +116,24 @@ impl RollingShutters {
                 .collect();
             model.move_keypoints(id, &pixels);
         }
+    }
+}
+
+/// The detected keypoints are those of the scene.
+impl Saved for RollingShutters {
+    fn write(&self, to: &mut Writer) {
+        let known = match self.readout {
+            Readout::Known(readout_s) => Some(readout_s),
+            Readout::Estimated => None,
+        };
+        known.write(to);
+        self.shutters.write(to);
+    }
+
+    fn read(from: &mut Reader) -> Option<Self> {
+        let readout = Option::read(from)?.map_or(Readout::Estimated, Readout::Known);
+        let found = Self { shutters: Vec::read(from)?, ..Self::new(from.scene, readout) };
+        let cameras = found.shutters.iter().map(|shutter| shutter.camera);
+        cameras.eq(from.scene.cameras().map(|(id, _)| id)).then_some(found)
     }
 }

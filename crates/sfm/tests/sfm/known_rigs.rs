@@ -14,8 +14,8 @@ use tiepoint_sfm::{Error, ExistingPoses, MappedModel, Mapper, MapperOptions, Opt
 use crate::rig::{BASELINE_M, NUM_FRAMES, Truth, drive};
 
 /// Turn between frames: a curve.
-const TURN_RAD: f64 = 0.05;
-const FOCAL_PX: f64 = 400.0;
+pub(crate) const TURN_RAD: f64 = 0.05;
+pub(crate) const FOCAL_PX: f64 = 400.0;
 /// Frames whose matches are deleted.
 const POOR_FRAMES: [usize; 2] = [4, 5];
 /// Matches that remain of each image of a poor frame: fewer than a registration needs (30), and
@@ -25,12 +25,16 @@ const POOR_MATCHES: usize = 24;
 /// of 400, so that a point at 10 m gives a centre to 8 mm; poor frames have 48 keypoints.
 const MAX_ERROR_M: f64 = 0.03;
 
-fn right_from_left() -> Rigid3 {
+pub(crate) fn right_from_left() -> Rigid3 {
     Rigid3::from_axis_angle(Vector3::new(0.0, 0.01, 0.0), Vector3::new(-BASELINE_M, 0.0, 0.0))
 }
 
 /// The rig of the drive with this pose of the right camera.
-fn rigs(scene: &Reconstruction, cam_from_rig: Rigid3, refine_extrinsics: bool) -> KnownRigs {
+pub(crate) fn rigs(
+    scene: &Reconstruction,
+    cam_from_rig: Rigid3,
+    refine_extrinsics: bool,
+) -> KnownRigs {
     let sensor = |image: usize, cam_from_rig: Rigid3| RigSensor {
         camera: scene.image(ImageId::from_index(image)).camera,
         cam_from_rig: Some(cam_from_rig),

@@ -15,7 +15,7 @@ use crate::common::{ate_m, sample};
 const SEEDS: [u64; 3] = [0, 1, 2];
 const FRAMES: usize = 18;
 /// The first image of the second half.
-const HALF: usize = 9;
+pub(crate) const HALF: usize = 9;
 /// In metres: distance between frames, and distance to the facade.
 const STEP: f64 = 0.6;
 const DISTANCE: f64 = 5.0;
@@ -32,9 +32,9 @@ const NOISE_PX: f64 = 0.3;
 /// that is wrong by a tenth gives decimetres, as the halves are 5 m long.
 const MAX_ATE_M: f64 = 0.02;
 
-struct Walk {
-    truth: Reconstruction,
-    graph: CorrespondenceGraph,
+pub(crate) struct Walk {
+    pub(crate) truth: Reconstruction,
+    pub(crate) graph: CorrespondenceGraph,
 }
 
 /// A walk along points; `matches(a, b, point)` says whether the keypoints of a point match between
@@ -169,7 +169,7 @@ fn a_like_object_at_two_places_connects_nothing() {
 /// A walk around a corner: the points before it match in the first half, those behind it in the
 /// second one. Only images of `common`, the last of the first half, match on both sides, with the
 /// second half behind the corner.
-fn corner(seed: u64, common: std::ops::Range<usize>) -> Walk {
+pub(crate) fn corner(seed: u64, common: std::ops::Range<usize>) -> Walk {
     let points = facade(seed);
     let corner = STEP * (common.start + common.end - 1) as f64 / 2.0;
     walk(seed, &points, |a, b, point| {

@@ -7,8 +7,8 @@ use tiepoint_geometry::{CameraModelKind, Intrinsics, Rigid3, Rng, Sim3, so3};
 use tiepoint_scene::{Camera, CorrespondenceGraph, Image, ImageId, Reconstruction};
 use tiepoint_sfm::adjust::RefineIntrinsics;
 use tiepoint_sfm::positions::{
-    ControlMisfit, MarkedPoint, MeasuredPosition, Misfit, PositionAlignment, PositionTerm, align,
-    align_to_points, compare, held_out,
+    Comparison, ControlMisfit, MarkedPoint, MeasuredPosition, Misfit, PositionAlignment,
+    PositionTerm, align, align_to_points, compare, held_out,
 };
 use tiepoint_sfm::{MappedModel, Mapper, MapperOptions, RigMode};
 use tiepoint_synth::{Drive, DriveOptions, FeatureOptions, FeatureScene, MatchOptions, RouteKind};
@@ -246,6 +246,37 @@ fn without_altitudes_the_photos_give_the_heights() {
     assert_eq!(found, Err(Misfit::UpsideDown));
 }
 
+/// Only a flat path fits its mirror image: on a hill, right positions of cameras that are mounted
+/// upside down are told from swapped coordinates.
+#[test]
+fn cameras_upside_down_on_a_hill_are_right_and_on_a_plain_may_be_mirrored() {
+    let [x, y, z] = [Vector3::x(), Vector3::y(), Vector3::z()];
+    for height in [0.0, 15.0] {
+        let place = |k: i32| {
+            let t = f64::from(k) / 10.0;
+            Vector3::new(30.0 * t, 40.0 * t.sin(), height * (1.0 - (t / 1.6).cos()))
+        };
+        let places: Vec<Vector3<f64>> = (0..100).map(place).collect();
+        let truth = photos(&places, [y, z, x], 0);
+        let mut rng = Rng::stream(6, &[]);
+        let position = |(image, place): (usize, &Vector3<f64>)| MeasuredPosition {
+            image: ImageId::from_index(image),
+            xyz: place + Vector3::from_fn(|_, _| SIGMA_M * rng.normal()),
+            has_height: true,
+            sigmas_m: None,
+        };
+        let positions: Vec<MeasuredPosition> = places.iter().enumerate().map(position).collect();
+        let found = align(&moved(&truth), &positions, false, 0);
+        match height {
+            0.0 => assert_eq!(found, Err(Misfit::UpsideDown)),
+            _ => {
+                let rms_m = rms_m(&moved(&truth), &found.unwrap().term_from_model, &truth);
+                assert!(rms_m < max_rms_m(100), "{rms_m} m");
+            }
+        }
+    }
+}
+
 /// With a scale of its own, what the model deviates from the positions is not fitted away.
 #[test]
 fn a_known_scale_stays_and_counts_in_the_deviations() {
@@ -288,6 +319,16 @@ fn control_points_near_a_line_are_refused() {
         panic!("{found:?}")
     };
     assert!(rotation_sd_rad > 0.1 && scale_sd < 0.1, "{found:?}");
+    // A floor, two metres below, also with swapped coordinates.
+    let floor = [(-8, 12.0), (8, 12.0), (-8, 30.0), (8, 30.0)]
+        .map(|(x, y)| point(Vector3::new(f64::from(x), y, -2.0)));
+    let found = align_to_points(&model, &floor);
+    assert!(found.is_ok(), "{found:?}");
+    let swapped = floor.map(|mut point| {
+        point.xyz.swap_rows(0, 1);
+        point
+    });
+    assert_eq!(align_to_points(&model, &swapped), Err(ControlMisfit::UpsideDown));
     let two = align_to_points(&model, &line[..2]).unwrap_err();
     assert_eq!(two, ControlMisfit::TooFew { usable: 2 });
 }
@@ -380,4 +421,15 @@ fn precise_positions_remove_drift_and_wrong_ones_are_not_believed() {
         .collect();
     let (compared, _) = run(&bent, RigMode::Off);
     assert!(!compared.is_better(), "{compared:?}");
+    // What is better is not taken if the largest model loses images.
+    let better = Comparison { gain: 0.5, t: 9.0, images: [100; 2], kept: [100; 2], ..compared };
+    let better = Comparison { error_px: [0.5; 2], ..better };
+    assert_eq!(better.why_not_better(), None);
+    let torn = Comparison { kept: [100, 97], ..better };
+    assert_eq!(torn.why_not_better().unwrap(), "which would lose 3 of 100 images");
+    // Four blocks tell nothing.
+    let model = [(&street.truth, Sim3::identity())];
+    assert_eq!(compare(&model, &model, &exact[..22], [1.0; 2]), None);
+    let same = compare(&model, &model, &exact[..23], [1.0; 2]).unwrap();
+    assert_eq!(same.why_not_better().unwrap(), "which is not better by 10 %");
 }

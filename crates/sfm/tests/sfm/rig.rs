@@ -47,16 +47,25 @@ pub(crate) fn drive(
     guessed_focal_px: f64,
     has_focal_prior: bool,
 ) -> Truth {
-    drive_with(seed, turn_rad, guessed_focal_px, has_focal_prior, &|_| BASELINE_M)
+    let right = |_| right_from_left(BASELINE_M);
+    drive_with(seed, turn_rad, guessed_focal_px, has_focal_prior, &[("right", &right)])
 }
 
-/// A drive with a baseline for each frame.
+/// The pose of a camera to the right of the left one.
+fn right_from_left(baseline_m: f64) -> Rigid3 {
+    Rigid3::from_axis_angle(Vector3::new(0.0, 0.01, 0.0), Vector3::new(-baseline_m, 0.0, 0.0))
+}
+
+/// A camera beside the left one: its folder, and its pose relative to the left one in each frame.
+type FurtherCamera<'a> = (&'a str, &'a dyn Fn(usize) -> Rigid3);
+
+/// A drive with further cameras.
 fn drive_with(
     seed: u64,
     turn_rad: f64,
     guessed_focal_px: f64,
     has_focal_prior: bool,
-    baseline_m: &dyn Fn(usize) -> f64,
+    others: &[FurtherCamera],
 ) -> Truth {
     let mut rng = Rng::stream(seed, &[7]);
     let truth = Intrinsics::centred(CameraModelKind::SimpleRadial, FOCAL_PX, 640, 480);
@@ -83,13 +92,8 @@ fn drive_with(
         rig_from_world.push(Rigid3::new(rotation, -(rotation * centre)));
         centre += Vector3::new(yaw.sin(), 0.0, yaw.cos()) * STEP_M;
     }
-    let cam_from_rig = |frame| {
-        Rigid3::from_axis_angle(
-            Vector3::new(0.0, 0.01, 0.0),
-            Vector3::new(-baseline_m(frame), 0.0, 0.0),
-        )
-    };
-    for (folder, is_right) in [("left", false), ("right", true)] {
+    let left: FurtherCamera = ("left", &|_| Rigid3::identity());
+    for (folder, cam_from_left) in [&[left][..], others].concat() {
         let camera = scene.add_camera(Camera {
             intrinsics: guess,
             width: 640,
@@ -97,8 +101,7 @@ fn drive_with(
             has_focal_prior,
         });
         for (frame, rig_from_world) in rig_from_world.iter().enumerate() {
-            let cam_from_left = if is_right { cam_from_rig(frame) } else { Rigid3::identity() };
-            let pose = cam_from_left * *rig_from_world;
+            let pose = cam_from_left(frame) * *rig_from_world;
             let (mut keypoints, mut which) = (Vec::new(), Vec::new());
             for (point, xyz) in points.iter().enumerate() {
                 let Some(pixel) = truth.project(&(pose * *xyz)) else { continue };
@@ -161,8 +164,9 @@ const MAX_BASELINE_ERROR: f64 = 0.05;
 
 #[test]
 fn each_model_reports_its_own_rig() {
-    let baseline_m = |frame| if frame < FIRST_FRAMES { OTHER_BASELINE_M } else { BASELINE_M };
-    let mut truth = drive_with(4, 0.03, FOCAL_PX, true, &baseline_m);
+    let right =
+        |frame| right_from_left(if frame < FIRST_FRAMES { OTHER_BASELINE_M } else { BASELINE_M });
+    let mut truth = drive_with(4, 0.03, FOCAL_PX, true, &[("right", &right)]);
     let part = |image: ImageId| usize::from(image.index() % NUM_FRAMES >= FIRST_FRAMES);
     let of_one_part = truth.graph.pairs().iter().filter(|(pair, _)| part(pair.a) == part(pair.b));
     let thinned = of_one_part.map(|(pair, two_view)| {
@@ -213,6 +217,53 @@ fn each_model_reports_its_own_rig() {
             "{found_m} m for {baseline_m}"
         );
     }
+}
+
+/// Largest swing of a camera on a loose mount to either side, in radians, about each axis, and its
+/// largest displacement in metres.
+const SWING: (f64, f64) = (0.04, 0.06);
+/// A rigid camera keeps at least this factor below the standard deviations of a loose one.
+const MIN_SIGMA_RATIO: f64 = 3.0;
+
+/// A camera on a loose mount does not loosen the constraint of another one.
+#[test]
+fn each_camera_has_its_own_sigmas() {
+    let right = |_| right_from_left(BASELINE_M);
+    let loose = |frame| {
+        // Without a period within the drive.
+        let swing = Rng::stream(9, &[frame as u64]).uniform() * 2.0 - 1.0;
+        Rigid3::from_axis_angle(
+            Vector3::new(1.0, -1.0, 1.0) * swing * SWING.0,
+            Vector3::new(1.0, 1.0, -1.0) * swing * SWING.1,
+        ) * right_from_left(-BASELINE_M)
+    };
+    let truth = drive_with(4, 0.03, FOCAL_PX, true, &[("right", &right), ("slack", &loose)]);
+    let mut models =
+        Mapper::new(&truth.graph, &truth.scene).run(&calibrated(RigMode::Auto)).expect("easy");
+    let model = models.remove(0);
+    let rig = model.rig.expect("a rig");
+    let sigmas = |camera: u32| {
+        let found = rig.cameras.iter().find(|found| found.sensor_pair.other.0 == camera)?;
+        Some(match found.constraint {
+            RigConstraint::Soft { sigma_translation, sigma_rotation_rad } => {
+                (sigma_translation, sigma_rotation_rad)
+            }
+            RigConstraint::Rigid => (0.0, 0.0),
+        })
+    };
+    let tight = sigmas(1).expect("the right camera is rigid");
+    match sigmas(2) {
+        Some(loose) => {
+            assert!(tight.0 < loose.0 / MIN_SIGMA_RATIO, "{tight:?} {loose:?}");
+            assert!(tight.1 < loose.1 / MIN_SIGMA_RATIO, "{tight:?} {loose:?}");
+            assert_eq!(rig.unconstrained, []);
+        }
+        None => {
+            assert_eq!(rig.unconstrained.iter().map(|camera| camera.0).collect::<Vec<_>>(), [2])
+        }
+    }
+    let change = rig.held_out_change.expect("tracks all over the drive");
+    assert!(change.relative.abs() < 0.1 && (0.0..0.1).contains(&change.sd), "{change:?}");
 }
 
 /// Asserts that all images of frames have the poses composed of frame and rig, up to rounding.

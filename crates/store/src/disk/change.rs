@@ -52,6 +52,19 @@ pub fn check_fault(operation: Operation, path: &Path) -> io::Result<()> {
     Ok(())
 }
 
+/// Whether a test watches the changes under a folder: then what is written from time to time is
+/// written each time.
+#[inline]
+pub fn is_watched(folder: &Path) -> bool {
+    #[cfg(feature = "faults")]
+    return super::faults::is_watched(folder);
+    #[cfg(not(feature = "faults"))]
+    {
+        let _ = folder;
+        false
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -89,6 +89,15 @@ fn watches() -> MutexGuard<'static, Vec<Watch>> {
     WATCHES.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
+pub(super) fn is_watched(folder: &Path) -> bool {
+    let watches = watches();
+    if watches.is_empty() {
+        return false;
+    }
+    let folder = folder.canonicalize().unwrap_or_else(|_| folder.to_owned());
+    watches.iter().any(|watch| folder.starts_with(&watch.root))
+}
+
 pub(super) fn check_fault(operation: Operation, path: &Path) -> io::Result<()> {
     let mut watches = watches();
     if watches.is_empty() {

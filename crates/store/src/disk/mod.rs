@@ -16,8 +16,8 @@ use std::fs::{self, File, OpenOptions};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
-pub use change::check_fault;
 use change::retry_while_denied;
+pub use change::{check_fault, is_watched};
 pub use folder::Folder;
 pub use operation::Operation;
 pub use paths::folder_of;
@@ -48,9 +48,9 @@ impl WrittenFile {
         Ok(Self { file, path: path.to_owned() })
     }
 
-    /// Opens an existing device or pipe for writing.
+    /// Opens an existing device or pipe, or the end of an open file, for writing.
     pub(crate) fn open_special(path: &Path) -> io::Result<Self> {
-        let file = OpenOptions::new().write(true).open(path)?;
+        let file = OpenOptions::new().append(true).open(path)?;
         Ok(Self { file, path: path.to_owned() })
     }
 
@@ -191,8 +191,13 @@ pub fn create_folders(path: &Path) -> io::Result<()> {
     }
     check_fault(Operation::CreateFolder, path)?;
     match fs::create_dir(path) {
-        // Another thread or process created it meanwhile.
-        Err(cause) if cause.kind() == io::ErrorKind::AlreadyExists && path.is_dir() => Ok(()),
+        Err(cause) if cause.kind() == io::ErrorKind::AlreadyExists => match path.is_dir() {
+            // Another thread or process created it meanwhile.
+            true => Ok(()),
+            false => {
+                Err(io::Error::other("a file or a link to nothing has the name of the folder"))
+            }
+        },
         made => made,
     }
 }
@@ -210,17 +215,22 @@ pub fn sync_folder(path: &Path) -> io::Result<()> {
     Ok(())
 }
 
-/// The path at the end of a chain of symbolic links; nothing need exist there.
+/// The path at the end of a chain of symbolic links; the path itself if it is no link.
 ///
 /// # Errors
 ///
-/// If the links form a cycle.
+/// If the links form a cycle, or lead to nothing: who made them chose where a file would appear.
 pub fn end_of_links(path: &Path) -> io::Result<PathBuf> {
-    let mut path = path.to_owned();
+    let mut end = path.to_owned();
     for _ in 0..MAX_LINKS {
-        match fs::read_link(&path) {
-            Ok(next) => path = folder_of(&path).join(next),
-            Err(_) => return Ok(path),
+        match fs::read_link(&end) {
+            Ok(next) => end = folder_of(&end).join(next),
+            Err(_) if end != path && !fs::exists(path).unwrap_or(true) => {
+                return Err(io::Error::other(
+                    "is a symbolic link to nothing: remove the link, or name the file itself",
+                ));
+            }
+            Err(_) => return Ok(end),
         }
     }
     Err(io::Error::other("symbolic links lead to each other"))

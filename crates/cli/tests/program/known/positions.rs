@@ -120,7 +120,7 @@ fn positions_of_photos_give_scale_north_and_up() {
     tiepoint_in(dir, line).failed(1, &["--position-priors", "--redo map"]);
     let text = tiepoint_in(dir, &format!("{line} --redo map")).done().stdout();
     assert!(text.contains("x east, y north, z up: 13 of 14 positions fit"), "{text}");
-    assert!(text.contains("1 position is wrong: 000005.png"), "{text}");
+    assert!(text.contains("1 position deviates by more than 3 deviations: 000005.png"), "{text}");
     assert!(text.contains("georeference.json"), "{text}");
     tiepoint_in(dir, line).done();
     // No baseline scales a single camera.
@@ -156,6 +156,12 @@ fn positions_of_photos_give_scale_north_and_up() {
     tiepoint_in(dir, line).done();
     assert_eq!(model_bytes(&ws), without);
     assert!(!ws.join("georeference.json").exists());
+    // A file of the user is theirs, unless positions would replace it.
+    fs::write(ws.join("georeference.json"), "mine").unwrap();
+    tiepoint_in(dir, line).done();
+    assert_eq!(fs::read_to_string(ws.join("georeference.json")).unwrap(), "mine");
+    let line = "map {}/ws --redo map --position-priors {}/p.csv";
+    tiepoint_in(dir, line).failed(1, &["georeference.json"]);
 }
 
 #[test]
@@ -172,6 +178,17 @@ fn positions_in_exif_are_kept_in_the_database() {
     assert!(text.contains("x east, y north, z up: 13 of 14 positions fit"), "{text}");
     assert!(text.contains("copies of photos keep their EXIF"), "{text}");
     let with = model_bytes(&dir.join("ws"));
+    // With `off`, nothing holds or says them.
+    let line_off = "reconstruct {}/drive/left -o {}/off --position-priors off";
+    let output = tiepoint_in(dir, line_off).done();
+    assert!(!(output.stdout() + &output.stderr()).contains("position in EXIF"));
+    let count = |ws: &str| -> i64 {
+        let database = rusqlite::Connection::open(dir.join(ws).join("database.db")).unwrap();
+        database.query_row("SELECT count(*) FROM pose_priors", [], |row| row.get(0)).unwrap()
+    };
+    assert_eq!((count("off"), count("ws")), (0, 14));
+    let report = fs::read_to_string(dir.join("off/report.json")).unwrap();
+    assert!(!report.contains("position"), "{report}");
     // Photos that have moved keep their positions.
     fs::rename(dir.join("drive"), dir.join("moved")).unwrap();
     tiepoint_in(dir, "map {}/ws").done();
@@ -179,8 +196,11 @@ fn positions_in_exif_are_kept_in_the_database() {
     assert!(text.contains("13 of 14 positions fit"), "{text}");
     // The points have no colours without photos.
     assert_eq!(model_bytes(&dir.join("ws"))[..2], with[..2]);
-    // A workspace from before positions were read goes on as it is.
+    // Models that were mapped without positions stay, also of a workspace from before.
     tiepoint_in(dir, "map {}/ws --redo map --position-priors off").done();
+    let text = tiepoint_in(dir, &line.replace("drive", "moved")).done().stderr();
+    let note = "mapped without the 14 positions in database.db: --redo map uses them";
+    assert!(text.contains(note), "{text}");
     let database = rusqlite::Connection::open(dir.join("ws/database.db")).unwrap();
     database.execute_batch("DELETE FROM pose_priors").unwrap();
     drop(database);

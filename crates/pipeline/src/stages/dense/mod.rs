@@ -19,6 +19,7 @@ use tiepoint_dense::undistort::{UndistortOptions, Undistortion, undistort_model}
 use tiepoint_dense::{Grey, PosedPinhole, StereoProblem, select_views};
 use tiepoint_input::images::DepthScale;
 use tiepoint_input::{Luma, Rgb};
+use tiepoint_io::Error as IoError;
 use tiepoint_io::colmap::Format;
 use tiepoint_io::dense::{DenseMap, FusedPly, FusedVisibility};
 use tiepoint_sfm::scene::{Image, ImageId, Reconstruction};
@@ -26,7 +27,7 @@ use tiepoint_sfm::scene::{Image, ImageId, Reconstruction};
 use self::masks::Masks;
 use crate::stages::dense::options::DenseOptions;
 use crate::stages::option_keys;
-use crate::workspace::file_names::{DENSE, DENSE_CLOUD, depth_map_path, model_path};
+use crate::workspace::file_names::{DENSE, DENSE_CLOUD, GEOMETRIC, depth_map_path, model_path};
 use crate::workspace::located_model::LocatedModel;
 use crate::workspace::model_output::{model_names, stage_model};
 use crate::workspace::model_photos::{check_sizes, photos_of, write_undistorted};
@@ -84,6 +85,7 @@ fn estimate_and_fuse(
     let model = &located.reconstruction;
     // Before old results are removed, which bad photos would not replace.
     check_sizes(&photos, model)?;
+    check_names(&photos)?;
     for (image, _) in &photos {
         masks.as_ref().map_or(Ok(()), |masks| masks.check(&image.name))?;
     }
@@ -140,6 +142,22 @@ fn estimate_and_fuse(
     })
 }
 
+/// Checks that file systems, which allow names of 255 bytes, allow those of the depth maps.
+fn check_names(photos: &[(&Image, PathBuf)]) -> Result<(), Error> {
+    let max = 255 - GEOMETRIC.len();
+    let is_long = |name: &str| name.rsplit('/').next().is_some_and(|name| name.len() > max);
+    match photos.iter().find(|(image, _)| is_long(&image.name)) {
+        None => Ok(()),
+        Some((_, photo)) => {
+            let what = format!(
+                "its name is too long for that of its depth map, which adds `{GEOMETRIC}`: rename \
+                the photo to at most {max} bytes, and reconstruct anew"
+            );
+            Err(IoError::content(photo, what).into())
+        }
+    }
+}
+
 fn image_file(image: &str) -> String {
     format!("dense/images/{image}")
 }
@@ -160,7 +178,7 @@ fn depth_png_file(image: &str) -> String {
 }
 
 fn normal_file(image: &str) -> String {
-    format!("dense/stereo/normal_maps/{image}.geometric.bin")
+    format!("dense/stereo/normal_maps/{image}{GEOMETRIC}")
 }
 
 /// Removes the results of an earlier run, and writes that the stage has begun.

@@ -79,8 +79,9 @@ impl fmt::Display for Warning {
             Self::OneSpot { model, focal_px, is_fisheye, .. } => write!(
                 f,
                 "the images of {model} agree with a {} of {focal_px:.0} px that only turned on one \
-                spot, so that its positions and depths are likely wrong: take photos from \
-                different places, a tenth of the distance to the scene apart",
+                spot, or moved by hardly a hundredth of the distance to the scene, so that its \
+                positions and depths are uncertain or wrong: take photos from different places, a \
+                tenth of that distance apart",
                 if *is_fisheye { "fisheye" } else { "lens" }
             ),
             Self::PointsBehind { model, observations } => write!(
