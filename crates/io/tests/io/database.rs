@@ -688,7 +688,7 @@ fn pose_priors_are_positions_with_deviations() {
     }
     // Cells of other types, as only other programs write them.
     sql.execute_batch(
-        "INSERT INTO pose_priors VALUES (8, 6, 1, 0, 'here', x'00', NULL, 1);
+        "INSERT INTO pose_priors VALUES (8, 6, 4, 0, 'here', x'00', NULL, 1);
          INSERT INTO pose_priors VALUES (9, 6, 2, 0, zeroblob(24), 'x', NULL, x'01');
          INSERT INTO pose_priors VALUES (10, 6, 3, 0, 1.5, 7, NULL, 'one');",
     )
