@@ -102,14 +102,9 @@ impl Database {
             let vertical = variance(position.sigma_vertical_m);
             let [none, h, v] = [0.0, horizontal, vertical];
             let covariance = [h, none, none, none, h, none, none, none, v];
+            let file_id = self.file_id(*image)?;
             let camera = self.camera_of[image.index()];
-            rows.push((
-                self.file_id(*image)?,
-                self.cameras[camera.index()],
-                place,
-                covariance,
-                system,
-            ));
+            rows.push((file_id, self.cameras[camera.index()], place, covariance, system));
         }
         self.transaction(|db| {
             db.run("DELETE FROM pose_priors")?;
