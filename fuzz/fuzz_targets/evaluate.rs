@@ -6,8 +6,10 @@ use libfuzzer_sys::fuzz_target;
 use tiepoint_fuzz::{files, folder, write, write_model};
 use tiepoint_pipeline::eval::geometry::Sim3;
 use tiepoint_pipeline::eval::{Alignment, find_alignment};
+use tiepoint_pipeline::evaluation::{
+    Truth, TruthFormat, evaluate_cloud, evaluate_poses, read_cloud,
+};
 use tiepoint_pipeline::workspace::LocatedModel;
-use tiepoint_pipeline::evaluation::{Truth, TruthFormat, evaluate_cloud, evaluate_poses, read_cloud};
 
 /// A time of its own for each image.
 const TIMES: &str = "image,seconds\nleft/000000.png,0\nright/000002.png,0.5\n\

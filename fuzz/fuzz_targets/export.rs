@@ -4,8 +4,8 @@
 use libfuzzer_sys::fuzz_target;
 
 use tiepoint_fuzz::{files, folder};
-use tiepoint_pipeline::workspace::LocatedModel;
 use tiepoint_pipeline::models::{ExportFormat, ExportSource, export, export_rigid};
+use tiepoint_pipeline::workspace::LocatedModel;
 
 fuzz_target!(|data: &[u8]| {
     let dir = folder();

@@ -3,8 +3,8 @@
 
 use libfuzzer_sys::fuzz_target;
 use tiepoint_fuzz::{folder, write};
-use tiepoint_io::store::MANIFEST;
 use tiepoint_input::ImageFolder;
+use tiepoint_io::store::MANIFEST;
 
 fuzz_target!(|data: &[u8]| {
     let dir = folder();

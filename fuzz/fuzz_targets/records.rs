@@ -4,8 +4,8 @@
 use libfuzzer_sys::fuzz_target;
 
 use tiepoint_fuzz::{files, folder, write_model};
-use tiepoint_pipeline::{Workspace};
-use tiepoint_pipeline::workspace::{model_folder};
+use tiepoint_pipeline::Workspace;
+use tiepoint_pipeline::workspace::model_folder;
 
 fuzz_target!(|data: &[u8]| {
     let dir = folder();

@@ -5,13 +5,27 @@
 use libfuzzer_sys::fuzz_target;
 
 use tiepoint_fuzz::{file, folder};
-use tiepoint_io::{positions, similarity, timestamps};
+use tiepoint_io::{control_points, position_priors, positions, similarity, timestamps};
 
 fuzz_target!(|data: &[u8]| {
     if let Ok(positions) = positions::read(&file("positions.txt", data)) {
         assert!(positions.iter().all(|(name, xyz)| {
             !name.is_empty() && xyz.iter().all(|coordinate| coordinate.is_finite())
         }));
+    }
+    if let Ok(positions) = position_priors::read(&file("positions.csv", data)) {
+        assert!(
+            positions
+                .iter()
+                .all(|(name, position)| { !name.is_empty() && position.place.validate().is_ok() })
+        );
+    }
+    if let Ok(points) = control_points::read(&file("gcp_list.txt", data)) {
+        assert!(
+            points
+                .iter()
+                .all(|point| { point.place.validate().is_ok() && !point.marks.is_empty() })
+        );
     }
     if let Ok(transform) = similarity::read(&file("transform.txt", data)) {
         let path = folder().join("transform.txt");

@@ -19,11 +19,12 @@ use tiepoint_pipeline::sfm::RigMode;
 use tiepoint_pipeline::sfm::geometry::{CameraModelKind, Intrinsics};
 use tiepoint_pipeline::sfm::matching::PairSelection;
 use tiepoint_pipeline::sfm::rolling_shutter::Readout;
+use tiepoint_pipeline::stages::PositionPriors;
 use tiepoint_synth::trajectory::Carrier;
 use tiepoint_synth::{CollectionKind, Effects, RouteKind, ViewDirection};
 
 pub(crate) use values::{CropBox, ImageSize, Metres, PositivePixels, Quantiles, Refine, threads};
-use values::{NumberList, downscale, one_of, positive, readout, refine, rig_mode};
+use values::{NumberList, downscale, one_of, position_priors, positive, readout, refine, rig_mode};
 
 /// Structure from motion for cameras mounted on one vehicle: photos in, a COLMAP model out.
 #[derive(Debug, Parser)]
@@ -482,6 +483,21 @@ pub(crate) struct Mapping {
     /// scaled to it; by default the scale is arbitrary.
     #[arg(long, value_name = "0.62m", conflicts_with = "input_model")]
     pub(crate) baseline: Option<Metres>,
+    /// Positions of the photos: a CSV file, auto (EXIF) or off.
+    ///
+    /// auto takes positions of EXIF, or pose_priors of --database. A CSV file has the header
+    /// image,lat,lon,alt (WGS 84, degrees and metres) or image,x,y,z (metres, z up), and perhaps
+    /// sigma or sigma_h,sigma_v (standard deviations in metres, else estimated). The model is then
+    /// in metres, x east, y north, z up, and georeference.json has its origin. Positions with
+    /// stated deviations also take part in the adjustments, if held-out ones say that it helps.
+    #[arg(
+        help_heading = "Input",
+        long,
+        value_name = "FILE",
+        default_value = "auto",
+        value_parser = position_priors
+    )]
+    pub(crate) position_priors: PositionPriors,
     /// Goes on from a model, and keeps its frame and scale.
     ///
     /// A folder with a COLMAP model, or a workspace. Its poses, intrinsics and points are initial
@@ -637,7 +653,9 @@ pub(crate) struct TransformModel {
 const MAX_TRANSFER_ERROR_PX: f64 = 8.0;
 
 #[derive(Debug, Args)]
-#[command(group = ArgGroup::new("target").args(["to", "positions"]).required(true))]
+#[command(
+    group = ArgGroup::new("target").args(["to", "positions", "control_points"]).required(true)
+)]
 pub(crate) struct AlignModel {
     /// Folder with a COLMAP model, or workspace.
     pub(crate) model: PathBuf,
@@ -646,16 +664,24 @@ pub(crate) struct AlignModel {
     /// Points that the same keypoints of common images observe in both models are compared.
     #[arg(long, value_name = "MODEL")]
     pub(crate) to: Option<PathBuf>,
-    /// Text file with camera positions, a line each: name x y z.
+    /// File with camera positions: lines `name x y z`, or CSV.
     ///
-    /// They are in the frame that the result has.
+    /// They are in the frame that the result has. A CSV file has the header image,lat,lon,alt (WGS
+    /// 84, degrees and metres), after which x is east, y north and z up, or image,x,y,z (metres, z
+    /// up).
     #[arg(long, value_name = "FILE", requires = "max_error")]
     pub(crate) positions: Option<PathBuf>,
     /// Maximum distance of a camera from its position, in the unit of the file.
     ///
-    /// Images farther away are outliers.
+    /// Of image,lat,lon,alt in metres. Images farther away are outliers.
     #[arg(long, value_name = "DISTANCE", value_parser = positive, requires = "positions")]
     pub(crate) max_error: Option<f64>,
+    /// Points with coordinates and marks: OpenDroneMap's gcp_list.txt.
+    ///
+    /// A point that the others contradict is named and not used; names that begin with CHK- are
+    /// check points, whose errors are printed only.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) control_points: Option<PathBuf>,
     /// With --to: maximum error of a point in the other model's images, in pixels.
     #[arg(
         long,

@@ -16,7 +16,7 @@ pub(crate) enum Reader {
 }
 
 /// Options of the libraries, and their flags.
-const OPTIONS: [(&str, &str); 35] = [
+const OPTIONS: [(&str, &str); 36] = [
     ("dense.depth_pngs", "--depth-pngs"),
     ("dense.max_image_size", "--max-size"),
     ("dense.normal_maps", "--normal-maps"),
@@ -37,6 +37,7 @@ const OPTIONS: [(&str, &str); 35] = [
     ("mapper.calibration_sigma", "--calibration-sigma"),
     ("mapper.fix_existing_frames", "--fix-existing-frames"),
     ("mapper.input_model", "--input-model"),
+    ("mapper.position_priors", "--position-priors"),
     ("mapper.readout", "--rolling-shutter"),
     ("mapper.refine", "--refine"),
     ("mapper.refine.aspect", "--refine aspect"),

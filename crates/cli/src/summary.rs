@@ -61,7 +61,7 @@ fn next_commands(workspace: &Path, report: &Report) -> Vec<(String, &'static str
         commands.push((format!("tiepoint dense {workspace}"), what));
     }
     let is_unknown = model.rig.as_ref().is_some_and(|rig| rig.mode != "known");
-    if is_unknown && model.scale.is_none() {
+    if is_unknown && model.scale.is_none() && model.positions.is_none() {
         let what = "in metres, with the distance of the first two cameras; the scale is arbitrary";
         commands.push((format!("tiepoint map {workspace} --redo map --baseline 0.62m"), what));
     }
@@ -144,8 +144,10 @@ fn stages(report: &Report) -> String {
         for scale in report.models.first().iter().filter_map(|model| model.scale.as_ref()) {
             line(format_args!("scale     {}", scale.reason));
         }
-        let is_scaled =
-            |model: &ModelReport| model.scale.as_ref().is_some_and(|scale| scale.factor.is_some());
+        let is_scaled = |model: &ModelReport| {
+            model.positions.is_some()
+                || model.scale.as_ref().is_some_and(|scale| scale.factor.is_some())
+        };
         let unit = if report.models.first().is_some_and(is_scaled) { "m" } else { "units" };
         for rig in report.models.first().iter().filter_map(|model| model.rig.as_ref()) {
             for camera in &rig.cameras {

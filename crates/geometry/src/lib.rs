@@ -6,6 +6,7 @@ pub mod cameras;
 pub mod epipolar;
 mod error;
 pub mod estimate;
+pub mod geodesy;
 mod loss;
 mod manifold;
 pub mod numeric;

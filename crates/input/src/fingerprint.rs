@@ -53,7 +53,12 @@ pub fn of_photo(path: &Path) -> io::Result<String> {
 pub fn hash_file(path: &Path) -> Result<String, Error> {
     require_regular_file(path)?;
     let bytes = std::fs::read(path).map_err(tiepoint_store::Error::unreadable(path))?;
-    Ok(blake3::hash(&bytes).to_hex().to_string())
+    Ok(hash_bytes(&bytes))
+}
+
+/// Fingerprint of a text.
+pub fn hash_bytes(bytes: &[u8]) -> String {
+    blake3::hash(bytes).to_hex().to_string()
 }
 
 /// Fingerprint of a list of files, without their names.

@@ -5,6 +5,7 @@ pub mod bal;
 mod binary;
 pub mod calibration;
 pub mod colmap;
+pub mod control_points;
 mod counted_file;
 #[cfg(feature = "database")]
 pub mod database;
@@ -19,6 +20,7 @@ pub mod names;
 pub mod nerfstudio;
 pub mod openmvs;
 pub mod ply;
+pub mod position_priors;
 pub mod positions;
 pub mod rig_calibration;
 mod rotation;

@@ -475,6 +475,19 @@ pub enum Error {
         /// The folder.
         path: PathBuf,
     },
+    /// Positions are those of other photos.
+    #[error(
+        "none of the {count} positions in {path} is of a photo here, the first is of `{first}`: \
+        names are relative to the input, as `left/0001.jpg`"
+    )]
+    PositionsOfOthers {
+        /// The file.
+        path: PathBuf,
+        /// Number of positions.
+        count: usize,
+        /// The first name in it.
+        first: String,
+    },
     /// Two options contradict each other.
     #[error("{option} sets poses that {with} keeps: leave one of them out")]
     MovesPoses {

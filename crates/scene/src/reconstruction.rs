@@ -9,8 +9,8 @@ use tiepoint_geometry::{Rigid3, Sim3};
 
 use crate::rig::is_same_pose;
 use crate::{
-    Camera, CameraId, Frame, Image, ImageId, IntrinsicsPrior, Observation, OriginalIds, PointId,
-    Rig, Track,
+    Camera, CameraId, Frame, Georeference, Image, ImageId, IntrinsicsPrior, Observation,
+    OriginalIds, PointId, Rig, Track,
 };
 
 /// A model: cameras, images with poses, points with tracks; rigs and frames for rigidly connected
@@ -36,6 +36,8 @@ pub struct Reconstruction {
     pub portrait_landscape_pairs: Vec<[CameraId; 2]>,
     /// Ids in the files that the model was read from.
     pub original_ids: OriginalIds,
+    /// Where the world frame is, if positions told: metric, z up.
+    pub georeference: Option<Georeference>,
 }
 
 impl Reconstruction {
@@ -322,6 +324,7 @@ impl Reconstruction {
 
     /// Applies a similarity to poses, points and frames.
     pub fn transform(&mut self, new_from_old: &Sim3) {
+        self.georeference = None;
         for pose in self.images.iter_mut().filter_map(|image| image.cam_from_world.as_mut()) {
             *pose = new_from_old.transform_pose(pose);
         }

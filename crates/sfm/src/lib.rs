@@ -11,6 +11,7 @@ mod mapped_model;
 mod mapper;
 pub mod model_tools;
 mod options;
+pub mod positions;
 pub mod register;
 pub mod rigs;
 pub mod rolling_shutter;

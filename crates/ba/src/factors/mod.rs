@@ -1,6 +1,7 @@
 //! Standard factors. Only these know cameras; the solver does not.
 
 mod between;
+mod centre;
 mod difference;
 mod lens_field;
 mod prior;
@@ -8,6 +9,7 @@ mod relative;
 mod reprojection;
 
 pub use between::Between;
+pub use centre::{Centre, RigCentre};
 pub use difference::Difference;
 pub use lens_field::{FieldReprojection, LensField};
 pub use prior::Prior;

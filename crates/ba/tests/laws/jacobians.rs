@@ -3,7 +3,7 @@
 use proptest::prelude::*;
 use tiepoint_ba::Factor;
 use tiepoint_ba::factors::{
-    Between, FieldReprojection, LensField, Prior, Reprojection, RigReprojection,
+    Between, Centre, FieldReprojection, LensField, Prior, Reprojection, RigCentre, RigReprojection,
     ShiftedReprojection,
 };
 use tiepoint_ba::nalgebra::{SVector, UnitQuaternion, Vector1, Vector2, Vector3};
@@ -107,6 +107,25 @@ proptest! {
     fn relative_poses(a in rigid(3.0), b_from_a in rigid(2.0), error in rigid(MAX_ANGLE_RAD)) {
         let factor = Between::new(b_from_a, &[0.1, 0.2, 0.3, 1.0, 2.0, 3.0]).unwrap();
         prop_assert_eq!(check_jacobians(&factor, (a, error * b_from_a * a), TOLERANCE), Ok(()));
+    }
+
+    #[test]
+    fn centres(
+        cam_from_rig in rigid(3.0),
+        rig_from_world in rigid(3.0),
+        in_camera in in_view(),
+    ) {
+        let centre = Centre::new(Vector3::new(1.0, -2.0, 3.0), &[0.1, 0.2, f64::INFINITY]).unwrap();
+        let antenna = Centre { in_camera, ..centre };
+        for factor in [centre, antenna] {
+            let pose = cam_from_rig * rig_from_world;
+            prop_assert_eq!(check_jacobians(&factor, (pose,), TOLERANCE), Ok(()));
+            let poses = (cam_from_rig, rig_from_world);
+            prop_assert_eq!(check_jacobians(&RigCentre(factor), poses, TOLERANCE), Ok(()));
+        }
+        let at_measured = Rigid3::new(rig_from_world.rotation, Vector3::zeros())
+            * Rigid3::new(UnitQuaternion::identity(), -centre.measured);
+        prop_assert!(centre.residual((&at_measured,)).unwrap().norm() < 1e-12);
     }
 
     #[test]

@@ -1,5 +1,6 @@
 //! Parsers of option values, with their bounds.
 
+use std::convert::Infallible;
 use std::fmt;
 use std::num::NonZeroUsize;
 use std::str::FromStr;
@@ -10,6 +11,7 @@ use tiepoint_pipeline::sfm::adjust::RefineIntrinsics;
 use tiepoint_pipeline::sfm::geometry::nalgebra::Vector3;
 use tiepoint_pipeline::sfm::model_tools::BoundingBox;
 use tiepoint_pipeline::sfm::rolling_shutter::Readout;
+use tiepoint_pipeline::stages::PositionPriors;
 
 /// Width and height, in pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -237,6 +239,15 @@ pub(super) fn rig_mode() -> impl TypedValueParser<Value = RigMode> {
     let values: Vec<PossibleValue> = RigMode::ALL.into_iter().map(value).collect();
     PossibleValuesParser::new(values)
         .map(|found: String| RigMode::from_name(&found).unwrap_or(RigMode::Rigid))
+}
+
+/// Where positions come from: a word, or the path of a file.
+pub(super) fn position_priors(text: &str) -> Result<PositionPriors, Infallible> {
+    Ok(match text {
+        "auto" => PositionPriors::Auto,
+        "off" => PositionPriors::Off,
+        path => PositionPriors::File(path.into()),
+    })
 }
 
 #[cfg(test)]

@@ -4,8 +4,8 @@ use std::fmt::Write;
 use std::path::PathBuf;
 
 use tiepoint_pipeline::models::{
-    AlignTo, AlignmentInfo, CropTo, ModelChange, ModelInfo, align_model, crop_model, merge_models,
-    model_info, transform_model,
+    AlignTo, AlignmentInfo, ControlPointInfo, CropTo, ModelChange, ModelInfo, align_model,
+    crop_model, merge_models, model_info, transform_model,
 };
 
 use crate::args::{AlignModel, CropModel, MergeModels, ModelCommand};
@@ -33,9 +33,10 @@ pub(crate) fn model(command: &ModelCommand, output: &Output) -> Result<(), Failu
 fn align(args: &AlignModel, output: &Output) -> Result<ModelChange, Failure> {
     let model = open_model(&args.model, output)?;
     let reference = args.to.as_deref().map(|path| open_model(path, output)).transpose()?;
-    let target = match (&reference, &args.positions, args.max_error) {
+    let target = match (&reference, &args.positions, args.max_error, &args.control_points) {
         (Some(reference), ..) => AlignTo::Model { reference, max_error_px: args.max_error_px },
-        (None, Some(path), Some(max_error)) => AlignTo::Positions { path, max_error },
+        (None, Some(path), Some(max_error), _) => AlignTo::Positions { path, max_error },
+        (None, _, _, Some(path)) => AlignTo::ControlPoints { path },
         // Clap requires one of them, and --max-error with --positions.
         (None, ..) => return Err(Failure::Usage("give --to or --positions".to_owned())),
     };
@@ -99,6 +100,18 @@ fn describe(info: &ModelInfo) -> String {
     text
 }
 
+fn control_point(point: &ControlPointInfo) -> String {
+    let kind = if point.is_check { "check" } else { "control" };
+    let (name, marks, inliers) = (&point.name, point.marks, point.inlier_marks);
+    let Some([x, y, z]) = point.error_m else {
+        return format!("{kind} point {name}: its {marks} marks do not determine it");
+    };
+    let end = if point.is_wrong { "; the others contradict it, and it is not used" } else { "" };
+    format!(
+        "{kind} point {name}: {inliers} of {marks} marks agree, errors {x:.3} {y:.3} {z:.3} m{end}"
+    )
+}
+
 /// A number with six significant digits: what is written to files has all.
 fn six_digits(value: f64) -> String {
     let digits = 5 - value.abs().max(f64::MIN_POSITIVE).log10().floor() as i32;
@@ -113,6 +126,12 @@ fn describe_change(change: &ModelChange) -> String {
     let mut text = String::new();
     if let Some(alignment) = &change.alignment {
         text += &describe_alignment(alignment);
+    }
+    if let Some(frame) = &change.frame {
+        let _ = writeln!(text, "frame: {frame}");
+    }
+    for point in &change.control_points {
+        let _ = writeln!(text, "{}", control_point(point));
     }
     for merged in &change.merged {
         let _ = writeln!(

@@ -158,5 +158,6 @@ fn map_options(mapping: &Mapping, seed: &Seed) -> Result<MapOptions, Failure> {
             .map(|path| InputModel { path, fix_existing_frames: mapping.fix_existing_frames }),
         rig_calibration: mapping.rig_calibration.clone(),
         refine_extrinsics,
+        position_priors: mapping.position_priors.clone(),
     })
 }

@@ -15,6 +15,7 @@ mod generated;
 mod hostile;
 #[cfg(unix)]
 mod hostile_folders;
+mod known;
 mod missing;
 mod model;
 mod names;
@@ -24,7 +25,6 @@ mod page;
 mod photos;
 mod records;
 mod results;
-mod rig_calibration;
 #[path = "../../../../tests/skipped.rs"]
 mod skipped;
 mod undistort;

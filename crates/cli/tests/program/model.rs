@@ -1,5 +1,6 @@
 //! `model info`, `transform`, `align`, `crop` and `merge`.
 
+use std::f64::consts::FRAC_PI_2;
 use std::fs;
 use std::path::Path;
 
@@ -189,6 +190,164 @@ fn alignment_to_positions_ignores_wrong_ones() {
     let on_a_line: String = (0..NUM_IMAGES).map(|k| format!("left/{k} a.png {k} 0 0\n")).collect();
     fs::write(dir.join("p.txt"), on_a_line).unwrap();
     tiepoint_in(dir, &line.replace("0.1", "1e-9")).failed(1, &["not on a line"]);
+}
+
+#[test]
+fn alignment_to_places_on_the_earth_gives_east_north_up() {
+    use tiepoint_pipeline::sfm::geometry::geodesy::{Geodetic, LocalFrame};
+    let dir = tempfile::tempdir().unwrap();
+    let dir = dir.path();
+    let (mut model, transform) = (scene(), similarity());
+    write(dir, "a", &model);
+    model.transform(&transform);
+    let origin = Geodetic { latitude_deg: -17.0, longitude_deg: 179.99999, height_m: 20.0 };
+    let frame = LocalFrame::new(origin);
+    let place = |c: &Vector3<f64>| frame.to_geodetic(c);
+    let mut text = String::from("image,lat,lon,alt,sigma\nnot there.png,1,2,3,4\n");
+    for (id, image, pose) in model.registered() {
+        // A receiver without a fix.
+        let Geodetic { latitude_deg, longitude_deg, height_m } = match id.0 {
+            2 => Geodetic::default(),
+            _ => place(&pose.origin_in_a()),
+        };
+        text += &format!("{},{latitude_deg},{longitude_deg},{height_m},2\n", image.name);
+    }
+    fs::write(dir.join("p.csv"), &text).unwrap();
+    let line = "model align {}/a --positions {}/p.csv --max-error 0.1 -o {}/b";
+    let found = tiepoint_in(dir, &format!("{line} --json")).done().json();
+    assert_eq!(found["alignment"]["inliers"], NUM_IMAGES - 1, "{found}");
+    assert!(found["frame"].as_str().unwrap().starts_with("x is east, y north and z up"), "{found}");
+    let sidecar: Value =
+        serde_json::from_slice(&fs::read(dir.join("b/tiepoint.json")).unwrap()).unwrap();
+    let number = |name: &str| sidecar["georeference"][name].as_f64().unwrap();
+    let found = LocalFrame::new(Geodetic {
+        latitude_deg: number("latitude_deg"),
+        longitude_deg: number("longitude_deg"),
+        height_m: number("height_m"),
+    });
+    for (aligned, truth) in read(dir, "b").registered().zip(model.registered()) {
+        let there = frame.to_local(&found.to_geodetic(&aligned.2.origin_in_a()));
+        assert!((there - truth.2.origin_in_a()).norm() < 1e-6, "{there}");
+    }
+    // A change of the frame drops it, and a part keeps it.
+    fs::write(dir.join("t.txt"), "2 1 0 0 0 1 2 3\n").unwrap();
+    tiepoint_in(dir, "model transform {}/b --by {}/t.txt -o {}/c").done();
+    assert!(!fs::read_to_string(dir.join("c/tiepoint.json")).unwrap().contains("latitude"));
+    tiepoint_in(dir, "model crop {}/b --quantiles 0.1,0.9 -o {}/d").done();
+    assert!(fs::read_to_string(dir.join("d/tiepoint.json")).unwrap().contains("latitude"));
+    // Exports do not tell where the model is.
+    tiepoint_in(dir, "export {}/b --to colmap -o {}/e").done();
+    assert!(!fs::read_to_string(dir.join("e/tiepoint.json")).unwrap().contains("latitude"));
+    fs::write(dir.join("p.csv"), text.replace(',', ";")).unwrap();
+    tiepoint_in(dir, line).failed(1, &["p.csv: line 1", "must be"]);
+    fs::write(dir.join("p.csv"), "image,lat,lon,alt\nleft/0 a.png,139.7,35.6,0\n").unwrap();
+    tiepoint_in(dir, line).failed(1, &["p.csv: line 2", "latitude comes before longitude"]);
+}
+
+/// A flat path fits its mirror image, after which the photos are upside down.
+#[test]
+fn alignment_to_swapped_coordinates_is_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let dir = dir.path();
+    let mut model = Reconstruction::default();
+    let camera = model.add_camera(*scene().camera_of(ImageId(0)));
+    let [mut right, mut swapped] = [String::from("image,x,y,z\n"), String::from("image,x,y,z\n")];
+    // The optical axis is along y, and z is up.
+    let rotation = so3::exp(&(FRAC_PI_2 * Vector3::x()));
+    for k in 0..8 {
+        let centre = Vector3::new(f64::from(k), f64::from(k * k) / 10.0, 0.0);
+        let id = model.add_image(Image::new(format!("{k}.png"), camera, Vec::new()));
+        model.register(id, Rigid3::new(rotation, -(rotation * centre)));
+        right += &format!("{k}.png,{},{},0\n", centre.x, centre.y);
+        swapped += &format!("{k}.png,{},{},0\n", centre.y, centre.x);
+    }
+    write(dir, "a", &model);
+    let line = "model align {}/a --positions {}/p.csv --max-error 0.1 -o {}/b";
+    fs::write(dir.join("p.csv"), right).unwrap();
+    tiepoint_in(dir, line).done();
+    fs::write(dir.join("p.csv"), swapped).unwrap();
+    tiepoint_in(dir, line).failed(1, &["upside down: are two coordinates swapped?"]);
+}
+
+#[test]
+fn alignment_to_control_points_names_the_wrong_one() {
+    let dir = tempfile::tempdir().unwrap();
+    let dir = dir.path();
+    let (mut model, transform) = (scene(), similarity());
+    write(dir, "a", &model);
+    // Thirteen deviations: marks of 3 px determine these points to 15 cm.
+    const WRONG_M: f64 = 2.0;
+    type Marked = (Vector3<f64>, Vec<(String, Vector2<f64>)>);
+    let observed: Vec<Marked> = model
+        .tracks()
+        .filter(|(_, track)| track.observations.len() >= 4)
+        .step_by(8)
+        .take(7)
+        .map(|(_, track)| {
+            let mark = |o: &Observation| {
+                let image = model.image(o.image);
+                (image.name.replace(' ', "_"), image.keypoints[o.keypoint as usize].pixel)
+            };
+            (transform * track.xyz, track.observations.iter().map(mark).collect())
+        })
+        .collect();
+    assert_eq!(observed.len(), 7);
+    // Names in the file have no spaces.
+    let file = |wrong: Option<usize>| {
+        let mut text = String::from("local\n");
+        for (k, (xyz, marks)) in observed.iter().enumerate() {
+            let name = if k == 6 { "CHK-6".to_owned() } else { format!("p{k}") };
+            let x = xyz.x + if wrong == Some(k) { WRONG_M } else { 0.0 };
+            for (image, pixel) in marks {
+                let [y, z] = [xyz.y, xyz.z];
+                text += &format!("{x} {y} {z} {} {} {image} {name}\n", pixel.x, pixel.y);
+            }
+        }
+        text
+    };
+    let mut renamed = Reconstruction::default();
+    let camera = renamed.add_camera(*model.camera_of(ImageId(0)));
+    for (_, image, pose) in model.registered() {
+        let name = image.name.replace(' ', "_");
+        let id = renamed.add_image(Image::new(name, camera, Vec::new()));
+        renamed.register(id, *pose);
+    }
+    write(dir, "renamed", &renamed);
+    model.transform(&transform);
+    let line = "model align {}/renamed --control-points {}/gcp.txt -o {}/b --json";
+    fs::write(dir.join("gcp.txt"), file(None)).unwrap();
+    let found = tiepoint_in(dir, line).done().json();
+    let points = found["control_points"].as_array().unwrap();
+    assert!(points.iter().all(|point| point["is_wrong"] == false), "{found}");
+    assert_eq!(points[6]["is_check"], true);
+    assert!(points.iter().all(|point| point["inlier_marks"] == point["marks"]), "{found}");
+    let largest_m = |point: &Value| -> f64 {
+        let error = point["error_m"].as_array().unwrap();
+        error.iter().map(|value| value.as_f64().unwrap().abs()).fold(0.0, f64::max)
+    };
+    assert!(points.iter().all(|point| largest_m(point) < 1e-6), "{found}");
+    let centres = |model: &Reconstruction| -> Vec<Vector3<f64>> {
+        model.registered().map(|(_, _, pose)| pose.origin_in_a()).collect()
+    };
+    let aligned = centres(&read(dir, "b"));
+    let near = |(a, b): (&Vector3<f64>, &Vector3<f64>)| (a - b).norm() < 1e-6;
+    assert!(aligned.iter().zip(&centres(&model)).all(near), "{found}");
+
+    fs::write(dir.join("gcp.txt"), file(Some(2))).unwrap();
+    let found = tiepoint_in(dir, line).done().json();
+    let wrong = |point: &&Value| point["is_wrong"] == true;
+    let wrong: Vec<&Value> =
+        found["control_points"].as_array().unwrap().iter().filter(wrong).collect();
+    assert!(wrong.len() == 1 && wrong[0]["name"] == "p2", "{found}");
+    assert!((largest_m(wrong[0]) - WRONG_M).abs() < 1e-6, "{found}");
+    let line = &line.replace(" --json", "");
+    let text = tiepoint_in(dir, line).done().stdout();
+    assert!(text.contains("control point p2: ") && text.contains("not used"), "{text}");
+
+    fs::write(dir.join("gcp.txt"), "local\n1 2 3 4 5 left/0_a.png p\n").unwrap();
+    tiepoint_in(dir, line).failed(1, &["gcp.txt", "0 of 1 control points are usable"]);
+    fs::write(dir.join("gcp.txt"), "EPSG:1\n").unwrap();
+    tiepoint_in(dir, line).failed(1, &["gcp.txt", "line 1", "must be EPSG:4326"]);
 }
 
 #[test]

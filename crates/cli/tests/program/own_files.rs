@@ -236,11 +236,12 @@ fn foreign_results_are_kept_and_own_ones_replaced() {
 /// The options that name a file or folder to write; all other paths are read. A new option belongs
 /// to one of the two lists, and one that names a file needs a line in [`FILES`].
 const WRITTEN: [&str; 2] = ["output", "save-transform"];
-const READ: [&str; 17] = [
+const READ: [&str; 18] = [
     "baseline",
     "by",
     "calibration",
     "cloud",
+    "control-points",
     "database",
     "images",
     "input-model",

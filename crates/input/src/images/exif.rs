@@ -5,6 +5,9 @@ use std::path::Path;
 
 use exif::{In, Rational, Tag, Value};
 use tiepoint_io::{Error, Result};
+use tiepoint_scene::Position;
+
+use super::place::{add_rtk_deviations, position_of};
 
 use super::jpeg;
 
@@ -62,6 +65,9 @@ pub struct Exif {
     pub is_panorama: bool,
     /// Body and lens.
     pub device: Device,
+    /// Where the photo was taken: WGS 84, of a receiver with a fix. The deviation is that of
+    /// `GPSHPositioningError`, or of DJI's RTK in XMP ([`Exif::read`] alone looks for it).
+    pub position: Option<Position>,
 }
 
 impl Default for Exif {
@@ -76,6 +82,7 @@ impl Default for Exif {
             time_s: None,
             is_panorama: false,
             device: Device::default(),
+            position: None,
         }
     }
 }
@@ -90,9 +97,12 @@ impl Exif {
     pub fn read(path: &Path) -> Result<Self> {
         let file = std::fs::File::open(path).map_err(Error::io(path))?;
         let mut reader = std::io::BufReader::new(file);
-        let exif = Self::from_reader(&mut reader);
+        let mut exif = Self::from_reader(&mut reader);
         reader.rewind().map_err(Error::io(path))?;
         let is_panorama = exif.is_panorama || jpeg::is_panorama(&mut reader);
+        if let Some(position) = &mut exif.position {
+            add_rtk_deviations(position, path);
+        }
         Ok(Self { is_panorama, ..exif })
     }
 
@@ -154,6 +164,7 @@ impl Exif {
                 lens: name(Tag::LensModel),
                 lens_serial: name(Tag::LensSerialNumber),
             },
+            position: position_of(&fields),
         }
     }
 

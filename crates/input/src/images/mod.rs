@@ -9,6 +9,7 @@ mod folder_names;
 mod jpeg;
 mod masks;
 mod pixels;
+mod place;
 mod reduce;
 mod skipped;
 mod tiff_pages;

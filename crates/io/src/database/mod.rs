@@ -22,6 +22,7 @@ mod features;
 mod guard;
 mod pairs;
 mod photos;
+mod pose_priors;
 mod read_only;
 mod rigs;
 mod schema;

@@ -9,7 +9,7 @@ use proptest::prelude::*;
 use tiepoint_features::{
     DescriptorEntries, DescriptorFormat, DescriptorKind, Descriptors, Features, Keypoint,
 };
-use tiepoint_geometry::nalgebra::Matrix3;
+use tiepoint_geometry::nalgebra::{Matrix3, Vector3};
 use tiepoint_geometry::{CameraModelKind, Intrinsics, Rigid3, Rng};
 use tiepoint_io::database::{Database, DatabaseFrame, StageRow, read_stage_rows};
 use tiepoint_scene::{
@@ -654,6 +654,79 @@ fn copies_of_other_programs_files_have_ids_from_one_on() {
     std::fs::write(&path, "words").unwrap();
     assert!(Database::copy_with(&path, &copy, |_| Ok(())).is_err());
     assert!(Database::open(&copy).is_ok(), "an earlier copy stays");
+}
+
+#[test]
+fn pose_priors_are_positions_with_deviations() {
+    use tiepoint_scene::{Place, Position};
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("a.db");
+    let mut db = Database::create(&path).unwrap();
+    db.write_cameras(&cameras()).unwrap();
+    let names = ["0.png", "1.png", "2.png", "3.png", "4.png", "5.png"];
+    let images = names.map(|name| Image::new(name, CameraId(0), Vec::new()));
+    db.write_images(&images).unwrap();
+    db.close().unwrap();
+    let blob = |values: &[f64]| -> Vec<u8> {
+        values.iter().flat_map(|value| value.to_le_bytes()).collect()
+    };
+    let sql = rusqlite::Connection::open(&path).unwrap();
+    let covariance = blob(&[4.0, 0.0, 0.0, 0.0, 9.0, 0.0, 0.0, 0.0, 25.0]);
+    let unknown = blob(&[f64::NAN; 9]);
+    // COLMAP's frames: 0 is WGS 84, 1 Cartesian, -1 unknown.
+    for (image, xyz, covariance, system) in [
+        (1, vec![48.1, 11.5, f64::NAN], &covariance, 0),
+        (2, vec![1.0, 2.0, 3.0], &unknown, 1),
+        (3, vec![0.0, 0.0, 5.0], &unknown, 0),
+        (4, vec![95.0, 0.0, 5.0], &unknown, 0),
+        (5, vec![1.0, 2.0, 3.0], &unknown, -1),
+        (6, vec![1.0, 2.0], &unknown, 1),
+        (77, vec![1.0, 2.0, 3.0], &unknown, 1),
+    ] {
+        let insert = "INSERT INTO pose_priors VALUES (?1, ?1, 1, 0, ?2, ?3, NULL, ?4)";
+        sql.execute(insert, rusqlite::params![image, blob(&xyz), covariance, system]).unwrap();
+    }
+    // Cells of other types, as only other programs write them.
+    sql.execute_batch(
+        "INSERT INTO pose_priors VALUES (8, 6, 4, 0, 'here', x'00', NULL, 1);
+         INSERT INTO pose_priors VALUES (9, 6, 2, 0, zeroblob(24), 'x', NULL, x'01');
+         INSERT INTO pose_priors VALUES (10, 6, 3, 0, 1.5, 7, NULL, 'one');",
+    )
+    .unwrap();
+    drop(sql);
+    let db = Database::open_read_only(&path).unwrap();
+    let place = Place::Geodetic { latitude_deg: 48.1, longitude_deg: 11.5, altitude_m: None };
+    let first = Position { place, sigma_horizontal_m: Some(3.0), sigma_vertical_m: Some(5.0) };
+    let place = Place::Cartesian(Vector3::new(1.0, 2.0, 3.0));
+    let second = Position { place, sigma_horizontal_m: None, sigma_vertical_m: None };
+    assert_eq!(db.read_pose_priors().unwrap(), [(ImageId(0), first), (ImageId(1), second)]);
+    drop(db);
+    // What is written is read again, also where a deviation or an altitude is not known.
+    let level = Position { sigma_vertical_m: None, ..first };
+    let written = [(ImageId(1), second), (ImageId(2), first), (ImageId(4), level)];
+    let mut db = Database::open(&path).unwrap();
+    db.write_pose_priors(&written).unwrap();
+    assert_eq!(db.read_pose_priors().unwrap(), written);
+    assert!(db.write_pose_priors(&[(ImageId(6), first)]).is_err(), "there are six images");
+    db.close().unwrap();
+    // COLMAP 3.10 has rows of images.
+    let sql = rusqlite::Connection::open(&path).unwrap();
+    sql.execute_batch(
+        "DROP TABLE pose_priors;
+         CREATE TABLE pose_priors(image_id INTEGER, position BLOB, coordinate_system INTEGER);",
+    )
+    .unwrap();
+    let insert = "INSERT INTO pose_priors VALUES (2, ?1, 1)";
+    sql.execute(insert, [blob(&[1.0, 2.0, 3.0])]).unwrap();
+    drop(sql);
+    let db = Database::open_read_only(&path).unwrap();
+    assert_eq!(db.read_pose_priors().unwrap(), [(ImageId(1), second)]);
+    drop(db);
+    let sql = rusqlite::Connection::open(&path).unwrap();
+    sql.execute_batch("ALTER TABLE pose_priors RENAME COLUMN image_id TO photo").unwrap();
+    drop(sql);
+    let db = Database::open_read_only(&path).unwrap();
+    assert_eq!(db.read_pose_priors().unwrap(), []);
 }
 
 /// COLMAP 3.8 reads columns by their place, and writes rows without the newer columns.

@@ -13,7 +13,8 @@ use tiepoint_io::trajectory::{
     TimedPose, read_euroc, read_kitti, read_tum, write_euroc, write_kitti, write_tum,
 };
 use tiepoint_io::{
-    calibration, colmap, kitti, positions, rig_calibration, similarity, strecha, timestamps,
+    calibration, colmap, control_points, kitti, position_priors, positions, rig_calibration,
+    similarity, strecha, timestamps,
 };
 
 use crate::common::{RigKind, pose, random_model, vector};
@@ -519,7 +520,13 @@ fn text_readers() -> Vec<(&'static str, &'static str, Reader)> {
     const CAMERA: &str = "1 0 0\n0 1 0\n0 0 1\n0 0 0\n1 0 0\n0 1 0\n0 0 1\n1 2 3\n640 480\n";
     vec![
         ("positions.txt", "1.jpg 1 2 3\n2.jpg 4 5 6\n", |p| shown(positions::read(p))),
+        ("places.csv", "image,lat,lon,alt\n1.jpg,48.1,11.5,519\n", |p| {
+            shown(position_priors::read(p))
+        }),
         ("times.csv", "image,seconds\n1.jpg,0.5\n", |p| shown(timestamps::read(p))),
+        ("gcp_list.txt", "EPSG:32632\n691603 5334780 519 7 8 1.jpg a\n", |p| {
+            shown(control_points::read(p))
+        }),
         ("tum.txt", "0.5 1 2 3 0 0 0 1\n", |p| shown(read_tum(p))),
         ("kitti.txt", "1 0 0 1 0 1 0 2 0 0 1 3\n", |p| shown(read_kitti(p))),
         ("euroc.csv", "5,1,2,3,1,0,0,0\n", |p| shown(read_euroc(p))),
@@ -546,6 +553,101 @@ fn text_readers() -> Vec<(&'static str, &'static str, Reader)> {
             |p| shown(rig_calibration::read(p)),
         ),
     ]
+}
+
+#[test]
+fn position_priors_have_optional_altitudes_and_deviations() {
+    use tiepoint_scene::{Place, Position};
+    let read = |text: &str| in_file(text, position_priors::read);
+    let text = "image, Lat,lon,alt,sigma_h,sigma_v\n# a comment\na, b.jpg,-48.5,11.25,519,2,3.5\n\n\
+                c.jpg, 1e-3 ,181,,,\n";
+    let found = read(text).unwrap();
+    let geodetic = |latitude_deg, longitude_deg, altitude_m, sigmas: [Option<f64>; 2]| Position {
+        place: Place::Geodetic { latitude_deg, longitude_deg, altitude_m },
+        sigma_horizontal_m: sigmas[0],
+        sigma_vertical_m: sigmas[1],
+    };
+    assert_eq!(found["a, b.jpg"], geodetic(-48.5, 11.25, Some(519.0), [Some(2.0), Some(3.5)]));
+    assert_eq!(found["c.jpg"], geodetic(0.001, 181.0, None, [None; 2]));
+    let found = read("image,x,y,z,sigma\na.jpg,691000.25,-2,3,0.02\n").unwrap();
+    let place = Place::Cartesian(Vector3::new(691000.25, -2.0, 3.0));
+    let sigma = Some(0.02);
+    assert_eq!(
+        found["a.jpg"],
+        Position { place, sigma_horizontal_m: sigma, sigma_vertical_m: sigma }
+    );
+
+    let header = "image,lat,lon,alt\n";
+    for (text, parts) in [
+        (String::new(), ["the header is ``", "`image,lat,lon,alt` or `image,x,y,z`"]),
+        ("a.jpg 1 2 3\n".to_owned(), ["line 1", "`a.jpg 1 2 3`"]),
+        ("image;lat;lon;alt\n".to_owned(), ["`image;lat;lon;alt`", "separated by commas"]),
+        ("image,lon,lat,alt\n".to_owned(), ["the header is `image,lon,lat,alt`", "must be"]),
+        (header.to_owned(), ["has no position", "file"]),
+        (format!("{header}a.jpg,1,2\n"), ["line 2", "not a name and 3 numbers between commas"]),
+        (format!("{header}a.jpg,48,1,11,5,519,2\n"), ["decimals follow a point", "not a comma"]),
+        (format!("{header}a.jpg,48.1,nan,5\n"), ["the longitude of a.jpg is `nan`", "no number"]),
+        (format!("{header}a.jpg,,2,5\n"), ["the latitude of a.jpg is ``", "no number"]),
+        (
+            format!("{header}a.jpg,139.7,35.7,5\n"),
+            [
+                "the latitude 139.7 is not from -90 to 90 for a.jpg",
+                "latitude comes before longitude",
+            ],
+        ),
+        (format!("{header}a.jpg,1,2,3\na.jpg,1,2,3\n"), ["line 3", "a.jpg is listed twice"]),
+        ("image,x,y,z,sigma\na.jpg,1,2,3,0\n".to_owned(), ["the standard deviation 0", "above 0"]),
+    ] {
+        let message = read(&text).unwrap_err().to_string();
+        assert!(parts.iter().all(|part| message.contains(part)), "{text:?}: {message}");
+    }
+}
+
+#[test]
+fn control_points_have_marks_in_images() {
+    use tiepoint_scene::Place;
+    let read = |text: &str| in_file(text, control_points::read);
+    let marks = "691603.031991 5334780.030903 519 10.5 20 a.jpg north\n\
+                 691603.031991 5334780.030903 519 30 40 b.jpg north\n\
+                 1 2 3 5 6 a.jpg CHK-one\n";
+    for header in ["EPSG:32632", "WGS84 UTM 32N", "+proj=utm +zone=32 +ellps=WGS84 +units=m"] {
+        let found = read(&format!("{header}\n{marks}")).unwrap();
+        assert_eq!(found.len(), 2);
+        assert_eq!((found[0].name.as_str(), found[0].is_check), ("north", false));
+        assert!(found[1].is_check);
+        let expected = [("a.jpg", 10.5, 20.0), ("b.jpg", 30.0, 40.0)];
+        let expected = expected.map(|(name, x, y)| (name.to_owned(), Vector2::new(x, y)));
+        assert_eq!(found[0].marks, expected);
+        // Of PROJ; a micrometre is 1e-11 degrees.
+        let Place::Geodetic { latitude_deg, longitude_deg, altitude_m } = found[0].place else {
+            panic!("{found:?}")
+        };
+        assert!((latitude_deg - 48.1374).abs() < 1e-10 && (longitude_deg - 11.5755).abs() < 1e-10);
+        assert_eq!(altitude_m, Some(519.0));
+    }
+    // Without names, marks of one position are of one point; longitude comes first.
+    let found = read("EPSG:4326\n11.5 48.1 5 1 2 a.jpg\n11.5 48.1 5 3 4 b.jpg\n").unwrap();
+    assert_eq!((found.len(), found[0].name.as_str(), found[0].marks.len()), (1, "1", 2));
+    let place = Place::Geodetic { latitude_deg: 48.1, longitude_deg: 11.5, altitude_m: Some(5.0) };
+    assert_eq!(found[0].place, place);
+    let found = read("local\n1 2 3 4 5 a.jpg\n").unwrap();
+    assert_eq!(found[0].place, Place::Cartesian(Vector3::new(1.0, 2.0, 3.0)));
+    for (text, part) in [
+        ("", "the frame is ``"),
+        ("EPSG:2056\n1 2 3 4 5 a.jpg\n", "the frame is `EPSG:2056` and must be EPSG:4326"),
+        ("+proj=utm +zone=32 +ellps=bessel\n", "must be EPSG:4326"),
+        ("EPSG:32661\n", "must be EPSG:4326"),
+        ("local\n", "has no mark"),
+        ("local\n1 2 3 4 a.jpg\n", "line 2: a coordinate of the pixel is `a.jpg`"),
+        ("local\n1 2 3 4 5\n", "ends where the image should be"),
+        ("local\n1,5 2 3 4 5 a.jpg\n", "`1,5`"),
+        ("local\n1 2 3 4 5 a.jpg p\n1 2 4 4 5 b.jpg p\n", "p has another position above"),
+        ("local\n1 2 3 4 5 a.jpg p\n1 2 3 4 5 a.jpg p\n", "p is marked twice in a.jpg"),
+        ("EPSG:4326\n48 111 3 4 5 a.jpg\n", "the latitude 111 is not from -90 to 90"),
+    ] {
+        let message = read(text).unwrap_err().to_string();
+        assert!(message.contains(part), "{text:?}: {message}");
+    }
 }
 
 #[test]

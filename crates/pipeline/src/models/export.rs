@@ -210,8 +210,8 @@ fn write_as(
         write_file(to, inputs.iter().map(PathBuf::as_path), replace, write)
     };
     match format {
-        ExportFormat::Colmap => located.write_as(to, Format::Binary, &inputs)?,
-        ExportFormat::ColmapText => located.write_as(to, Format::Text, &inputs)?,
+        ExportFormat::Colmap => located.without_place().write_as(to, Format::Binary, &inputs)?,
+        ExportFormat::ColmapText => located.without_place().write_as(to, Format::Text, &inputs)?,
         ExportFormat::Bal => {
             let bal =
                 Bal::from_reconstruction(model).map_err(|error| error.of(located.folder()))?;

@@ -1,15 +1,21 @@
 //! Work on finished models on disk, as COLMAP's `model_analyzer`, `model_transformer`,
 //! `model_aligner`, `model_cropper` and `model_merger` do it.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
+use tiepoint_io::control_points::{self, ControlPoint};
 use tiepoint_io::names::ByName;
-use tiepoint_io::{positions, similarity};
-use tiepoint_sfm::geometry::nalgebra::Vector3;
+use tiepoint_io::{position_priors, positions, similarity};
+use tiepoint_sfm::geometry::geodesy::Geodetic;
+use tiepoint_sfm::geometry::nalgebra::{Vector2, Vector3};
 use tiepoint_sfm::geometry::{RansacOptions, Sim3, estimate};
 use tiepoint_sfm::model_tools::{BoundingBox, align_models, crop, merge_model};
-use tiepoint_sfm::scene::Reconstruction;
+use tiepoint_sfm::positions::{
+    ControlMisfit, MarkedPoint, PointError, align_to_points, may_be_mirrored,
+};
+use tiepoint_sfm::scene::{Georeference, Position, Reconstruction};
 use tiepoint_store::{Replace, write_file};
 
 use crate::Error;
@@ -99,6 +105,12 @@ pub struct ModelChange {
     /// Quality of the alignment, if the transform was estimated.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub alignment: Option<AlignmentInfo>,
+    /// The frame of the new model, as a sentence, if it is on the earth or that of measurements.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub frame: Option<String>,
+    /// The control points of the alignment.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub control_points: Vec<ControlPointInfo>,
     /// The further models of a merge, in the order in which they were merged.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub merged: Vec<MergedInfo>,
@@ -116,6 +128,27 @@ pub struct AlignmentInfo {
     /// Mean distance of the camera centres of common images from their places after the alignment,
     /// in units of the new frame; of positions, those that fit.
     pub mean_distance: f64,
+}
+
+/// A control point or check point after an alignment.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct ControlPointInfo {
+    /// Its name.
+    pub name: String,
+    /// Whether it only tells of errors.
+    pub is_check: bool,
+    /// Whether the others contradict it, so that it was not used.
+    pub is_wrong: bool,
+    /// Number of marks in images with a pose.
+    pub marks: usize,
+    /// Number of those that agree on one point.
+    pub inlier_marks: usize,
+    /// Its place in the model minus the measured one, in metres; `None` if the marks do not
+    /// determine it.
+    pub error_m: Option<[f64; 3]>,
+    /// Standard deviations of the error along the axes, by those of marks (3 px) and coordinates
+    /// (1 cm); `None` without an error.
+    pub sigmas_m: Option<[f64; 3]>,
 }
 
 /// A model that was merged into the first one.
@@ -143,12 +176,18 @@ pub enum AlignTo<'a> {
         /// Maximum transfer error of an inlier, in pixels.
         max_error_px: f64,
     },
-    /// A text file with lines `name x y z`: camera centres.
+    /// Camera centres: a text file with lines `name x y z`, or a CSV file of [`position_priors`],
+    /// which sets the [`Georeference`] of the model.
     Positions {
         /// The file.
         path: &'a Path,
         /// Maximum distance of an inlier, in the unit of the file.
         max_error: f64,
+    },
+    /// Control points that are marked in images ([`control_points`]).
+    ControlPoints {
+        /// The file.
+        path: &'a Path,
     },
 }
 
@@ -174,6 +213,8 @@ fn write(located: &LocatedModel, to: &Path, inputs: &[PathBuf]) -> Result<ModelC
         points: located.reconstruction.num_tracks(),
         transform: None,
         alignment: None,
+        frame: None,
+        control_points: Vec::new(),
         merged: Vec::new(),
     })
 }
@@ -251,17 +292,30 @@ pub fn align_model(
     overwrite: bool,
 ) -> Result<ModelChange, Error> {
     let mut inputs = located.files();
-    let (new_from_old, alignment) = match align_to {
+    let mut control_points = Vec::new();
+    let (new_from_old, alignment, georeference) = match align_to {
         AlignTo::Model { reference, max_error_px } => {
             inputs.extend(reference.files());
-            align_to_model(located, reference, max_error_px)?
+            let (similarity, info) = align_to_model(located, reference, max_error_px)?;
+            (similarity, Some(info), reference.reconstruction.georeference)
         }
         AlignTo::Positions { path: file, max_error } => {
             inputs.push(file.to_owned());
-            align_to_positions(located, file, max_error)?
+            let (positions, georeference) = read_positions(file)?;
+            let is_up = georeference.is_some();
+            let (similarity, info) =
+                align_to_positions(located, &positions, file, max_error, is_up)?;
+            (similarity, Some(info), georeference)
+        }
+        AlignTo::ControlPoints { path: file } => {
+            inputs.push(file.to_owned());
+            let (similarity, georeference, points) = align_to_control_points(located, file)?;
+            control_points = points;
+            (similarity, None, Some(georeference))
         }
     };
-    let model = transform(located, &new_from_old)?;
+    let mut model = transform(located, &new_from_old)?;
+    model.reconstruction.georeference = georeference;
     if let Some(file) = transform_to {
         // Both results are refused before either is written.
         refuse_foreign_model(to, &inputs)?;
@@ -273,7 +327,43 @@ pub fn align_model(
     }
     let change = write(&model, to, &inputs)?;
     let transform = Some((&new_from_old).into());
-    Ok(ModelChange { transform, alignment: Some(alignment), ..change })
+    let frame = georeference.as_ref().map(frame_in_words);
+    Ok(ModelChange { transform, alignment, frame, control_points, ..change })
+}
+
+/// The frame of a georeferenced model, as a sentence.
+fn frame_in_words(georeference: &Georeference) -> String {
+    match georeference {
+        Georeference::Enu { frame, has_height } => {
+            let Geodetic { latitude_deg, longitude_deg, height_m } = frame.origin();
+            let altitude = match has_height {
+                true => format!("altitude {height_m:.2} m"),
+                false => "an altitude that is not known".to_owned(),
+            };
+            format!(
+                "x is east, y north and z up, in metres from latitude {latitude_deg:.7}°, \
+                 longitude {longitude_deg:.7}° and {altitude}"
+            )
+        }
+        Georeference::Cartesian { offset } => {
+            format!("that of the positions, in metres from {:?}", offset.as_slice())
+        }
+    }
+}
+
+/// Positions by the names of images, and the frame that they are in, if it is known.
+fn read_positions(file: &Path) -> Result<(ByName<Vector3<f64>>, Option<Georeference>), Error> {
+    if !position_priors::has_header(file)? {
+        return Ok((ByName::new(positions::read(file)?), None));
+    }
+    let measured = position_priors::read(file)?;
+    let measured = measured.into_iter().filter(|(_, position)| !position.place.is_null());
+    let measured: BTreeMap<String, Position> = measured.collect();
+    let georeference = Georeference::near(measured.values().map(|position| &position.place));
+    let local = measured
+        .into_iter()
+        .filter_map(|(name, position)| Some((name, georeference?.to_local(&position.place)?)));
+    Ok((ByName::new(local.collect()), georeference))
 }
 
 fn align_to_model(
@@ -320,7 +410,7 @@ fn info_of(found: &tiepoint_sfm::model_tools::ModelAlignment, mean_distance: f64
 
 /// Mean distance of the centres of common images.
 fn mean_distance(model: &Reconstruction, reference: &Reconstruction, similarity: &Sim3) -> f64 {
-    let by_name: std::collections::BTreeMap<&str, Vector3<f64>> = reference
+    let by_name: BTreeMap<&str, Vector3<f64>> = reference
         .registered()
         .map(|(_, image, pose)| (image.name.as_str(), pose.origin_in_a()))
         .collect();
@@ -336,12 +426,14 @@ fn mean(values: impl Iterator<Item = f64>) -> f64 {
     sum / count.max(1) as f64
 }
 
+/// `is_up`: z of the positions is up.
 fn align_to_positions(
     model: &LocatedModel,
+    positions: &ByName<Vector3<f64>>,
     file: &Path,
     max_error: f64,
+    is_up: bool,
 ) -> Result<(Sim3, AlignmentInfo), Error> {
-    let positions = ByName::new(positions::read(file)?);
     let pairs = model
         .reconstruction
         .registered()
@@ -369,15 +461,86 @@ fn align_to_positions(
                 from.len()
             ))
         })?;
-    let distances = from.iter().zip(&to).map(|(from, to)| (report.model * *from - to).norm());
-    let distances = distances.filter(|distance| *distance <= max_error);
+    let distance = |(from, to): (&Vector3<f64>, &Vector3<f64>)| (report.model * *from - to).norm();
+    let fits = from.iter().zip(&to).filter(|pair| distance(*pair) <= max_error);
+    let (distances, places): (Vec<f64>, Vec<Vector3<f64>>) =
+        fits.map(|pair| (distance(pair), *pair.1)).unzip();
+    // Those that fit are within three deviations.
+    if is_up && may_be_mirrored(&model.reconstruction, &report.model, &places, max_error / 3.0) {
+        return Err(failed(UPSIDE_DOWN.to_owned()));
+    }
     let info = AlignmentInfo {
         common_images: from.len(),
         compared: from.len(),
         inliers: report.num_inliers,
-        mean_distance: mean(distances),
+        mean_distance: mean(distances.into_iter()),
     };
     Ok((report.model, info))
+}
+
+/// Why a frame with z up is refused.
+const UPSIDE_DOWN: &str = "it would be upside down: are two coordinates swapped?";
+
+/// Standard deviation of the coordinates of a control point, in metres: of a survey.
+const CONTROL_SIGMA_M: f64 = 0.01;
+
+/// Why `all` control points do not determine the alignment, and what to do.
+fn why_undetermined(misfit: ControlMisfit, all: usize) -> String {
+    match misfit {
+        ControlMisfit::TooFew { usable } => format!(
+            "{usable} of {all} control points are usable, and three that are not on a line are \
+             needed, each marked in two images with a pose and in different directions"
+        ),
+        ControlMisfit::Uncertain { usable, rotation_sd_rad, scale_sd } => format!(
+            "its {usable} usable control points are near a line or near each other, which leaves a \
+             rotation uncertain by {:.0}° and the scale by {:.0} %: mark a point beside the line, \
+             far from the others",
+            rotation_sd_rad.to_degrees().min(180.0),
+            100.0 * scale_sd.min(9.99)
+        ),
+        ControlMisfit::UpsideDown => UPSIDE_DOWN.to_owned(),
+    }
+}
+
+/// The similarity to control points, their frame, and the points after it.
+fn align_to_control_points(
+    located: &LocatedModel,
+    file: &Path,
+) -> Result<(Sim3, Georeference, Vec<ControlPointInfo>), Error> {
+    let model = &located.reconstruction;
+    let points = control_points::read(file)?;
+    let failed = |reason: String| Error::NoAlignment {
+        model: located.folder().to_owned(),
+        reference: file.to_owned(),
+        reason,
+    };
+    let by_name = ByName::new(model.images().map(|(id, i)| (i.name.clone(), id)).collect());
+    let of_mark = |(name, pixel): &(String, Vector2<f64>)| Some((*by_name.get(name)?, *pixel));
+    let georeference = Georeference::near(points.iter().map(|point| &point.place));
+    let marked = points.iter().filter_map(|point| {
+        Some(MarkedPoint {
+            xyz: georeference?.to_local(&point.place)?,
+            sigma_m: CONTROL_SIGMA_M,
+            is_check: point.is_check,
+            marks: point.marks.iter().filter_map(of_mark).collect(),
+        })
+    });
+    let marked: Vec<MarkedPoint> = marked.collect();
+    let all = points.iter().filter(|point| !point.is_check).count();
+    let why = |misfit| failed(why_undetermined(misfit, all));
+    let found = align_to_points(model, &marked).map_err(why)?;
+    let info = |(point, error): (&ControlPoint, &PointError)| ControlPointInfo {
+        name: point.name.clone(),
+        is_check: point.is_check,
+        is_wrong: error.is_wrong,
+        marks: error.marks[0],
+        inlier_marks: error.marks[1],
+        error_m: error.error_m.map(Into::into),
+        sigmas_m: error.error_m.map(|_| error.sigmas_m.into()),
+    };
+    let infos = points.iter().zip(&found.points).map(info).collect();
+    let georeference = georeference.ok_or_else(|| why(ControlMisfit::TooFew { usable: 0 }))?;
+    Ok((found.term_from_model, georeference, infos))
 }
 
 /// Keeps a part of a model and writes it to `to`.

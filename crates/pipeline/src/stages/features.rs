@@ -11,13 +11,13 @@ use tiepoint_input::cameras::{
 };
 use tiepoint_input::fingerprint::hash_file;
 use tiepoint_input::parallel::{budget_bytes, for_each_within_budget};
-use tiepoint_input::{CameraGrouping, DEFAULT_MAX_PIXELS, ImageInfo, Photos, SkippedImage};
+use tiepoint_input::{CameraGrouping, DEFAULT_MAX_PIXELS, Exif, ImageInfo, Photos, SkippedImage};
 use tiepoint_io::database::{Database, read_stage_rows};
 use tiepoint_io::features::{Extractor, Features, SiftExtractor};
 use tiepoint_io::names::ByName;
 use tiepoint_io::timestamps;
 use tiepoint_sfm::geometry::numeric::median;
-use tiepoint_sfm::scene::{Camera, CameraId, Image, ImageId, Reconstruction};
+use tiepoint_sfm::scene::{Camera, CameraId, Image, ImageId, Position, Reconstruction};
 use tiepoint_store::Error as StoreError;
 
 use crate::stages::extraction::{extract_photo, memory_of};
@@ -47,6 +47,8 @@ pub struct FeatureOptions {
     /// Photos with more pixels are skipped, which bounds the memory that a damaged or malicious
     /// file can request. At most [`ABSOLUTE_MAX_PIXELS`](tiepoint_input::ABSOLUTE_MAX_PIXELS).
     pub max_pixels: u64,
+    /// Whether the database keeps the positions in EXIF.
+    pub keeps_positions: bool,
 }
 
 impl Default for FeatureOptions {
@@ -59,6 +61,7 @@ impl Default for FeatureOptions {
             timestamps: None,
             max_size: None,
             max_pixels: DEFAULT_MAX_PIXELS,
+            keeps_positions: true,
         }
     }
 }
@@ -75,6 +78,8 @@ impl FeatureOptions {
             timestamps,
             max_size,
             max_pixels,
+            // Features are the same without.
+            keeps_positions: _,
         } = self;
         let files = calibration_files.iter().map(CalibrationSource::fingerprint);
         let files: Vec<String> = files.collect::<Result<_, _>>()?;
@@ -133,7 +138,11 @@ pub(crate) fn extract_features_of(
     let inputs = Some(photos.inputs.clone());
     let request = StageRequest { stage: Stage::Features, recipe, redo, inputs };
     let cameras = found.cameras;
-    let survey = Survey { photos, usable, calibrations, cameras, times };
+    let positions = match options.keeps_positions {
+        true => positions(photos, &usable),
+        false => Vec::new(),
+    };
+    let survey = Survey { photos, usable, calibrations, cameras, times, positions };
     check(workspace, &survey.scene())?;
     workspace.run_stage(request, watch, |run| survey.extract(run, options, skipped))
 }
@@ -146,6 +155,8 @@ struct Survey<'a> {
     cameras: Vec<Camera>,
     /// Names and capture times, in seconds, of the images with a known time.
     times: Vec<(&'a str, f64)>,
+    /// The positions in EXIF.
+    positions: Vec<(ImageId, Position)>,
 }
 
 impl Survey<'_> {
@@ -251,6 +262,13 @@ impl Survey<'_> {
         let mut notes = self.photos.notes.clone();
         notes.extend(self.photos.folder.notes_on_bits());
         notes.extend(self.photos.notes_on_times(&self.usable, &self.times));
+        if !self.positions.is_empty() {
+            notes.push(format!(
+                "{} of {} photos have a position in EXIF, which database.db keeps",
+                self.positions.len(),
+                self.usable.len()
+            ));
+        }
         notes.extend(self.photos.note_on_panoramas(&self.usable, &self.cameras));
         notes.extend(self.photos.notes_on_copies(&self.usable));
         notes
@@ -306,8 +324,12 @@ impl Survey<'_> {
                 // The file was renamed into place after cameras, images and rigs had been written,
                 // so that only features can be missing.
                 Ok(Some(_)) if !begins => {
-                    let database = Database::open(&path)?;
+                    let mut database = Database::open(&path)?;
                     if database.num_images() == self.usable.len() {
+                        if !self.positions.is_empty() || !database.read_pose_priors()?.is_empty() {
+                            // Those of an interrupted run may be absent, or are not asked for now.
+                            database.write_pose_priors(&self.positions)?;
+                        }
                         return Ok(database);
                     }
                 }
@@ -329,9 +351,23 @@ impl Survey<'_> {
             database.write_cameras(&self.cameras)?;
             database.write_images(&images)?;
             database.write_rigs(&[], &[])?;
+            if !self.positions.is_empty() {
+                database.write_pose_priors(&self.positions)?;
+            }
             database.write_stage_rows(&workspace.records.rows())
         })?)
     }
+}
+
+/// The positions in EXIF.
+fn positions(photos: &Photos, usable: &[Photo]) -> Vec<(ImageId, Position)> {
+    let position = |(index, photo): (usize, &Photo)| {
+        photo.info.exif.position?;
+        // The file has what the header does not: deviations in XMP.
+        let position = Exif::read(photos.folder.path(photo.index)).ok()?.position?;
+        Some((ImageId::from_index(index), position))
+    };
+    usable.iter().enumerate().filter_map(position).collect()
 }
 
 /// Names and capture times, in seconds, of the images with a known time.

@@ -13,7 +13,7 @@ use tiepoint_io::colmap::Format;
 use tiepoint_io::database::{Database, DatabaseFrame};
 use tiepoint_io::features::Descriptors;
 use tiepoint_io::{ply, timestamps};
-use tiepoint_sfm::adjust::RefineIntrinsics;
+use tiepoint_sfm::adjust::{RefineIntrinsics, Term};
 use tiepoint_sfm::geometry::OptionError;
 use tiepoint_sfm::rigs::{rig_candidates, rig_pairs};
 use tiepoint_sfm::scene::KnownRigs;
@@ -31,21 +31,24 @@ use crate::stages::colors::color_points;
 use crate::stages::foreign_database::require_descriptors;
 use crate::stages::input_model::{InputModel, OpenedModel};
 use crate::stages::option_keys;
+use crate::stages::positions::{FoundPositions, Placed, PositionPriors, ScaleOf, ScenePositions};
 use crate::stages::rig_calibration::known_rigs;
 use crate::stages::rig_hints::why_no_rig;
 use crate::stages::scale::scale_to_baseline;
 use crate::stages::unregistered::{gaps, unregistered_images};
 use crate::stages::warnings::warnings_of_models;
 use crate::workspace::database_scene::read_scene;
-use crate::workspace::file_names::{SPARSE, is_rig_name, model_path, rig_name};
+use crate::workspace::file_names::{GEOREFERENCE, SPARSE, is_rig_name, model_path, rig_name};
 use crate::workspace::folder::{POINTS, rigs_in};
+use crate::workspace::format;
 use crate::workspace::image_names::stream_of;
 use crate::workspace::model_output::{model_names, stage_with_sidecar};
 use crate::workspace::option_names;
 use crate::workspace::records::Recipe;
-use crate::workspace::report::{MapReport, ModelReport, ScaleReport};
+use crate::workspace::report::{MapReport, ModelReport, PositionReport, ScaleReport};
 use crate::workspace::rig_file::RigFile;
 use crate::workspace::rig_report::RigReport;
+use crate::workspace::sidecar::GeoreferenceFacts;
 use crate::workspace::stage_run::{StageRequest, StageResult, StageRun};
 use crate::workspace::warning::Warning;
 use crate::{Error, Event, Stage, Watch, Workspace, emit};
@@ -73,6 +76,9 @@ pub struct MapOptions {
     pub rig_calibration: Option<PathBuf>,
     /// Whether the extrinsics of the known rigs are initial values, which are refined.
     pub refine_extrinsics: bool,
+    /// Measured positions of the photos. The models are moved into their frame; in adjustments they
+    /// take part if held-out ones say that it helps.
+    pub position_priors: PositionPriors,
 }
 
 /// Value of [`MapOptions::calibration_sigma_px`] if none is given: an assumption, not an estimate.
@@ -96,20 +102,21 @@ pub fn map(
     redo: Option<Stage>,
     watch: Watch,
 ) -> Result<(), Error> {
-    let mut request = MapRequest::new(workspace, map_options)?;
+    let is_redone = redo == Some(Stage::Map);
+    let mut request = MapRequest::new(workspace, map_options, is_redone, watch)?;
     let recipe = Recipe::new(workspace.fingerprint(Stage::Match)?, request.take_texts());
     let fingerprint = recipe.fingerprint();
     let stage = StageRequest { stage: Stage::Map, recipe, redo, inputs: None };
     workspace.run_stage(stage, watch, |run| {
         // Foreign files are detected before mapping. Old models stay until the new ones are
         // complete.
-        let replaced = replaced_names(run.workspace);
+        let replaced = replaced_names(run.workspace, request.positions.is_some());
         run.workspace.folder.ensure_writable(replaced.iter().map(String::as_str))?;
         let input = request.read(run)?;
         request.check(run.workspace, &input)?;
         let key = key_of(&fingerprint, &input.scene, &input.graph);
-        let (models, notes) = request.map(run, &input, key)?;
-        request.finish(run, &input, models, notes, replaced)
+        let mapped = request.map(run, &input, key)?;
+        request.finish(run, &input, mapped, replaced)
     })?;
     // What cannot be removed is not used.
     let _ = workspace.folder.remove_state(MAGIC);
@@ -125,6 +132,7 @@ struct MapRequest<'a> {
     texts: Vec<(&'static str, String)>,
     /// Whether the features came with the database of another program.
     is_imported: bool,
+    positions: Option<FoundPositions>,
 }
 
 /// What is mapped.
@@ -132,10 +140,32 @@ struct MapInput {
     scene: Reconstruction,
     graph: CorrespondenceGraph,
     known_rigs: Option<KnownRigs>,
+    positions: Option<ScenePositions>,
+}
+
+/// What a run of the mapper has besides the input.
+enum MapperWith<'a> {
+    /// Checkpoints with this key. They do not hold the state of terms.
+    Checkpoints([u8; 32]),
+    Term(&'a mut dyn Term),
+}
+
+/// What mapping gives.
+struct Mapped {
+    models: Vec<MappedModel>,
+    scales: Vec<Option<ScaleReport>>,
+    placed: Placed,
+    /// What was noted of checkpoints.
+    notes: Vec<String>,
 }
 
 impl<'a> MapRequest<'a> {
-    fn new(workspace: &mut Workspace, given: &'a MapOptions) -> Result<Self, Error> {
+    fn new(
+        workspace: &mut Workspace,
+        given: &'a MapOptions,
+        is_redone: bool,
+        watch: Watch,
+    ) -> Result<Self, Error> {
         let &MapOptions { mut mapper, refine, baseline_m, refine_extrinsics, .. } = given;
         let rig_calibration = given.rig_calibration.as_deref();
         let input_model = given.input_model.as_ref().map(InputModel::open).transpose()?;
@@ -172,7 +202,10 @@ impl<'a> MapRequest<'a> {
         }
         let hash = rig_calibration.map(hash_file).transpose()?;
         texts.extend(option_keys::rig_calibration_options(hash, refine_extrinsics));
-        Ok(Self { given, options: mapper, input_model, texts, is_imported })
+        let positions = FoundPositions::read(workspace, &given.position_priors, is_redone, watch)?;
+        let hash = positions.as_ref().map(FoundPositions::hash);
+        texts.push(option_keys::position_priors_option(hash));
+        Ok(Self { given, options: mapper, input_model, texts, is_imported, positions })
     }
 
     fn take_texts(&mut self) -> Vec<(&'static str, String)> {
@@ -220,8 +253,9 @@ impl<'a> MapRequest<'a> {
             set_calibration_priors(&mut scene, &calibrations, distortion, sigma_px);
         }
         scene.calibrated.extend(constant);
+        let positions = self.positions.as_ref().map(|found| found.of_scene(&scene)).transpose()?;
         run.began(num_images(&scene), 0)?;
-        Ok(MapInput { scene, graph, known_rigs })
+        Ok(MapInput { scene, graph, known_rigs, positions })
     }
 
     /// Checks that what is asked for can be estimated from this input.
@@ -234,15 +268,86 @@ impl<'a> MapRequest<'a> {
         check_times(workspace, scene, self.given)
     }
 
-    /// Runs the mapper, and colours the points. `key` is that of the run's checkpoints; returns
-    /// also what was noted of these.
-    fn map(
+    /// Maps, sets scale and frame, and colours the points. `key` is that of the run's checkpoints.
+    fn map(&self, run: &mut StageRun, input: &MapInput, key: [u8; 32]) -> Result<Mapped, Error> {
+        let (mut models, notes) = self.run_mapper(run, input, MapperWith::Checkpoints(key))?;
+        let mut scales: Vec<Option<ScaleReport>> = match self.given.baseline_m {
+            Some(baseline_m) => {
+                let has_positions = input.positions.is_some();
+                let scales = scale_to_baseline(&mut models, baseline_m, has_positions);
+                scales.into_iter().map(Some).collect()
+            }
+            None => vec![None; models.len()],
+        };
+        let placed = match &input.positions {
+            Some(positions) => self.place(run, input, &mut models, &scales, positions)?,
+            None => Placed::default(),
+        };
+        // Positions may give other models.
+        scales.resize(models.len(), None);
+        color(run, &mut models)?;
+        Ok(Mapped { models, scales, placed, notes })
+    }
+
+    /// Moves the models into the frame of measured positions. Those that were mapped with the
+    /// positions replace them if held-out ones say that they are better.
+    fn place(
         &self,
         run: &mut StageRun,
         input: &MapInput,
-        key: [u8; 32],
+        models: &mut Vec<MappedModel>,
+        scales: &[Option<ScaleReport>],
+        positions: &ScenePositions,
+    ) -> Result<Placed, Error> {
+        if self.input_model.is_some() {
+            return Ok(Placed::unused("the model of `mapper.input_model` keeps its frame"));
+        }
+        let seed = self.options.seed;
+        let (mut comparison, mut failure) = (None, None);
+        let rigs = input.known_rigs.as_ref();
+        let scale_of = |model: &MappedModel| ScaleOf::model(model, None, rigs);
+        let largest = models.first().map(|model| positions.align(model, scale_of(model), seed));
+        if let Some(Ok(largest)) = largest
+            && self.given.baseline_m.is_none()
+            && positions.tell_more_than(&largest)
+        {
+            run.emit(&Event::Noted { what: "mapping once more, with the positions" })?;
+            let mut term = positions.term(&largest, seed);
+            match self.run_mapper(run, input, MapperWith::Term(&mut term)) {
+                Ok((with, _)) => {
+                    comparison = positions.compare(models, &with, scale_of, &largest, seed);
+                    match comparison {
+                        Some(found) if found.is_better() => *models = with,
+                        Some(_) => {}
+                        None => failure = Some(
+                            "positions took no part in the adjustments: too few are held out to \
+                             tell whether they help"
+                                .to_owned(),
+                        ),
+                    }
+                }
+                Err(error) => failure = Some(why_not_adjusted(error)?),
+            }
+        }
+        let of_baseline = scales.iter().map(Option::as_ref).chain(std::iter::repeat(None));
+        let scales_of: Vec<ScaleOf> = models
+            .iter()
+            .zip(of_baseline)
+            .map(|(model, scale)| ScaleOf::model(model, scale, rigs))
+            .collect();
+        let mut placed = positions.place(models, &scales_of, comparison.as_ref(), seed);
+        placed.notes.extend(failure);
+        Ok(placed)
+    }
+
+    /// Runs the mapper. Returns also what was noted of checkpoints.
+    fn run_mapper(
+        &self,
+        run: &mut StageRun,
+        input: &MapInput,
+        with: MapperWith,
     ) -> Result<(Vec<MappedModel>, Vec<String>), Error> {
-        let MapInput { scene, graph, known_rigs } = input;
+        let MapInput { scene, graph, known_rigs, .. } = input;
         let name = |id| scene.image(id).name.as_str();
         let database = Database::open(&run.workspace.database())?;
         // Those of another program may be missing, or of a kind that is not known.
@@ -272,11 +377,16 @@ impl<'a> MapRequest<'a> {
             named_event(event, &name).map_or(ControlFlow::Continue(()), |event| watch(&event))
         };
         let folder = &run.workspace.folder;
-        let mut checkpoints = CheckpointFile::new(folder, key, num_images(scene), &pending);
-        let mut mapper = Mapper::new(graph, scene)
-            .descriptors(&mut descriptors)
-            .watch(&mut notified)
-            .checkpoints(&mut checkpoints);
+        let mut checkpoints;
+        let mut mapper =
+            Mapper::new(graph, scene).descriptors(&mut descriptors).watch(&mut notified);
+        match with {
+            MapperWith::Checkpoints(key) => {
+                checkpoints = CheckpointFile::new(folder, key, num_images(scene), &pending);
+                mapper = mapper.checkpoints(&mut checkpoints);
+            }
+            MapperWith::Term(term) => mapper = mapper.term(term),
+        }
         if let Some(rigs) = known_rigs {
             mapper = mapper.known_rigs(rigs);
         }
@@ -287,7 +397,7 @@ impl<'a> MapRequest<'a> {
             });
         }
         let models = mapper.run(&self.options);
-        let mut models = models.map_err(|cause| match (&self.input_model, known_rigs) {
+        let models = models.map_err(|cause| match (&self.input_model, known_rigs) {
             (Some(model), _) => model.error(cause),
             (None, Some(_)) => cause.into(),
             (None, None) => without_depth(run.workspace, graph, cause),
@@ -300,41 +410,38 @@ impl<'a> MapRequest<'a> {
             emit(run.watch, &Event::Noted { what: &what })?;
             notes.push(what);
         }
-        color(run, &mut models)?;
         Ok((models, notes))
     }
 
-    /// Stages the models with their scale, and writes the rigs into the database.
+    /// Stages the models, and writes the rigs into the database.
     fn finish(
         &self,
         run: &mut StageRun,
         input: &MapInput,
-        mut models: Vec<MappedModel>,
-        mut notes: Vec<String>,
+        mapped: Mapped,
         replaced: Vec<String>,
     ) -> Result<StageResult, Error> {
-        let scales: Vec<Option<ScaleReport>> = match self.given.baseline_m {
-            Some(baseline_m) => {
-                scale_to_baseline(&mut models, baseline_m).into_iter().map(Some).collect()
-            }
-            None => vec![None; models.len()],
-        };
+        let Mapped { models, scales, placed, mut notes } = mapped;
         let files = stage_models(run.workspace, &models)?;
         let is_known = input.known_rigs.is_some();
-        let reports = self.reports(&models, scales, is_known);
+        let Placed { reports, factors, notes: mut of_models } = placed;
+        let reports = self.reports(&models, scales, (reports, factors), is_known);
         let may_be_rig = self.options.rig != RigMode::Off && !is_known;
         if let Some(first) = models.first()
             && may_be_rig
             && reports.iter().all(|report| report.rig.is_none())
             && let Some(what) = why_no_rig(&first.reconstruction)
         {
+            of_models.push(what);
+        }
+        for what in of_models {
             run.emit(&Event::Noted { what: &what })?;
             notes.push(what);
         }
-        let of_models = models.iter().map(|model| &model.reconstruction).zip(&reports);
+        let reported = models.iter().map(|model| &model.reconstruction).zip(&reports);
         let unregistered = unregistered_images(&input.graph, &models, &self.options);
         let gaps = gaps(&input.graph, &models);
-        let warnings = warnings_of_models(&input.scene, of_models, gaps);
+        let warnings = warnings_of_models(&input.scene, reported, gaps);
         // The rigs are written after every step that may fail: a run that ends before the stage is
         // complete repeats it and writes them again.
         if let Some(first) = models.first()
@@ -362,22 +469,42 @@ impl<'a> MapRequest<'a> {
         &self,
         models: &[MappedModel],
         scales: Vec<Option<ScaleReport>>,
+        (mut positions, mut factors): (Vec<Option<PositionReport>>, Vec<f64>),
         is_known: bool,
     ) -> Vec<ModelReport> {
-        let report = |(index, (model, scale)): (usize, (&MappedModel, Option<ScaleReport>))| {
+        positions.resize(models.len(), None);
+        factors.resize(models.len(), 1.0);
+        type Of<'a> = ((&'a MappedModel, Option<ScaleReport>), Option<PositionReport>);
+        let report = |(index, ((model, scale), positions)): (usize, Of)| {
             let has_failed =
                 model.failures.iter().any(|failure| failure.stage == OptionalStage::Rig);
             let mode = if is_known { RigMode::Off } else { self.options.rig };
-            let metres_per_unit = scale.as_ref().and_then(|scale| scale.factor).unwrap_or(1.0);
+            let by_baseline = scale.as_ref().and_then(|scale| scale.factor).unwrap_or(1.0);
+            let metres_per_unit = by_baseline * factors[index];
             ModelReport {
                 scale,
                 loop_pairs: model.num_loop_pairs,
                 failed: model.failures.iter().map(|failure| describe(failure, is_known)).collect(),
                 rig: RigReport::new(mode, is_known && !has_failed, model, metres_per_unit),
+                positions,
                 ..ModelReport::new(model_path(index), model)
             }
         };
-        models.iter().zip(scales).enumerate().map(report).collect()
+        models.iter().zip(scales).zip(positions).enumerate().map(report).collect()
+    }
+}
+
+/// That the mapper failed with positions, as a sentence; the models without them stay.
+///
+/// # Errors
+///
+/// Any other error.
+fn why_not_adjusted(error: Error) -> Result<String, Error> {
+    match error {
+        Error::Mapping(_) | Error::OneSpot { .. } | Error::NoModel { .. } => Ok(format!(
+            "positions took no part in the adjustments: mapping with them failed: {error}"
+        )),
+        error => Err(error),
     }
 }
 
@@ -633,14 +760,19 @@ fn is_timed(scene: &Reconstruction) -> bool {
     scene.cameras().any(|(id, _)| times(id) >= MIN_TIMES)
 }
 
-/// Names of all existing files of models, which new models replace.
-fn replaced_names(workspace: &Workspace) -> Vec<String> {
+/// Names of all existing files of models, which new models replace. A georeference that is not ours
+/// is replaced only if there may be a new one.
+fn replaced_names(workspace: &Workspace, has_positions: bool) -> Vec<String> {
     let prefix = format!("{SPARSE}/");
     let earlier = workspace.folder.names().filter(|name| name.starts_with(&prefix));
     let mut names: BTreeSet<String> = earlier.map(str::to_owned).collect();
     let models = (0..).map(model_path).take_while(|model| workspace.root().join(model).is_dir());
     names.extend(models.flat_map(|model| model_names(Some(&model))));
     names.insert(POINTS.to_owned());
+    // One that cannot be read is refused before mapping.
+    if has_positions || workspace.folder.is_unmodified(GEOREFERENCE).unwrap_or(true) {
+        names.insert(GEOREFERENCE.to_owned());
+    }
     names.extend(workspace.folder.names().filter(|name| is_rig_name(name)).map(str::to_owned));
     // Also foreign files, which are then rejected before mapping.
     names.extend(rigs_in(workspace.root()));
@@ -658,6 +790,13 @@ fn stage_models(workspace: &Workspace, models: &[MappedModel]) -> Result<Vec<Str
     let Some(largest) = models.first() else { return Ok(names) };
     ply::write(&workspace.folder.stage(POINTS)?, &ply::points(&largest.reconstruction))?;
     names.push(POINTS.to_owned());
+    // All models are in one frame.
+    let georeference = models.iter().find_map(|model| model.reconstruction.georeference.as_ref());
+    if let Some(georeference) = georeference {
+        let facts = GeoreferenceFacts::from(georeference);
+        workspace.folder.stage_bytes(GEOREFERENCE, &format::to_json(&facts))?;
+        names.push(GEOREFERENCE.to_owned());
+    }
     for (index, MappedModel { reconstruction, rig, shutters, .. }) in models.iter().enumerate() {
         let rig = rig.as_ref().and_then(|rig| RigFile::new(reconstruction, rig));
         if let Some(rig) = &rig {
@@ -682,7 +821,7 @@ mod tests {
     use tiepoint_sfm::geometry::nalgebra::{UnitQuaternion, Vector3};
     use tiepoint_sfm::geometry::{CameraModelKind, Intrinsics, Rigid3};
     use tiepoint_sfm::rigs::{CalibratedCamera, CalibratedRig, RigConstraint, RigPair, SensorPair};
-    use tiepoint_sfm::scene::{Camera, ImagePair, Match, TwoView};
+    use tiepoint_sfm::scene::{Camera, Frame, ImagePair, Match, Rig, RigId, RigSensor, TwoView};
 
     use super::*;
     use crate::workspace::located_model::LocatedModel;
@@ -740,6 +879,53 @@ mod tests {
     }
 
     #[test]
+    fn what_sets_the_scale_is_decided_for_each_model() {
+        let with = |translation: Vector3<f64>, refine_extrinsics: bool| {
+            let mut mapped = model(1.0, false);
+            let pose = Rigid3::new(UnitQuaternion::identity(), translation);
+            let sensor =
+                |camera, cam_from_rig| RigSensor { camera: CameraId(camera), cam_from_rig };
+            let rig = Rig { sensors: vec![sensor(0, None), sensor(1, Some(pose))] };
+            mapped.reconstruction.rigs = vec![rig.clone()];
+            let images = vec![ImageId(0), ImageId(1)];
+            let (rig_from_world, of_rig) = (Rigid3::identity(), RigId(0));
+            mapped.reconstruction.frames = vec![Frame { rig: of_rig, rig_from_world, images }];
+            (mapped, KnownRigs { rigs: vec![rig], refine_extrinsics, ..KnownRigs::default() })
+        };
+        let report = |factor| ScaleReport { factor, ..ScaleReport::default() };
+        let (mut mapped, rigs) = with(Vector3::x(), true);
+        let of = |mapped: &MappedModel, factor, rigs| {
+            ScaleOf::model(mapped, Some(&report(factor)), rigs)
+        };
+        assert_eq!(of(&mapped, Some(2.0), None), ScaleOf::Baseline);
+        // Rigs that were estimated have no scale, and a baseline without two cameras sets none.
+        assert_eq!(of(&mapped, None, None), ScaleOf::Positions);
+        assert_eq!(of(&mapped, None, Some(&rigs)), ScaleOf::Rig);
+        mapped.is_in_frame_of_terms = true;
+        assert_eq!(of(&mapped, None, Some(&rigs)), ScaleOf::Positions, "extrinsics are refined");
+        let (mut mapped, rigs) = with(Vector3::x(), false);
+        mapped.is_in_frame_of_terms = true;
+        assert_eq!(of(&mapped, None, Some(&rigs)), ScaleOf::Rig);
+        mapped.reconstruction.frames.clear();
+        assert_eq!(of(&mapped, None, Some(&rigs)), ScaleOf::Positions, "no frame is in this model");
+        let (mapped, rigs) = with(Vector3::zeros(), false);
+        assert_eq!(of(&mapped, None, Some(&rigs)), ScaleOf::Positions, "one centre");
+    }
+
+    #[test]
+    fn a_mapping_with_positions_that_fails_leaves_the_models_without() {
+        assert!(matches!(why_not_adjusted(Error::Cancelled), Err(Error::Cancelled)));
+        let error = Error::NoWorkspace { path: PathBuf::from("ws") };
+        assert!(why_not_adjusted(error).is_err(), "not an error of the mapper");
+        let error = Error::Mapping(sfm::Error::RigsOfExistingModel);
+        let says = why_not_adjusted(error).unwrap();
+        assert!(
+            says.starts_with("positions took no part in the adjustments: mapping with"),
+            "{says}"
+        );
+    }
+
+    #[test]
     fn a_mapper_that_poses_no_image_is_a_sentence_on_the_photos() {
         let dir = tempfile::tempdir().unwrap();
         let workspace = Workspace::create(&dir.path().join("ws")).unwrap();
@@ -787,14 +973,19 @@ mod tests {
         let pair = ["left/0.png", "right/0.png"].map(str::to_owned);
         assert_eq!(third.unwrap().bad_pairs, [pair]);
         // New models replace all files of the old ones.
-        let replaced = replaced_names(&workspace);
+        let replaced = replaced_names(&workspace, false);
         for name in ["rig.json", "rig-2.json", "sparse/2/images.bin"] {
             assert!(replaced.iter().any(|other| other == name), "{name}: {replaced:?}");
         }
         // Also if the user has deleted a model, or if a foreign file has such a name.
         std::fs::remove_dir_all(root.join("sparse/2")).unwrap();
+        std::fs::write(root.join(GEOREFERENCE), "mine").unwrap();
+        let has_georeference = |has_positions| {
+            replaced_names(&workspace, has_positions).iter().any(|name| name == GEOREFERENCE)
+        };
+        assert!(!has_georeference(false) && has_georeference(true), "without positions it stays");
         std::fs::write(root.join("rig-7.json"), "mine").unwrap();
-        let replaced = replaced_names(&workspace);
+        let replaced = replaced_names(&workspace, false);
         assert!(
             ["rig-2.json", "rig-7.json"]
                 .iter()

@@ -24,7 +24,7 @@ use crate::stages::dense::options::DenseOptions;
 use crate::workspace::option_names::{
     CALIBRATION_KEY, CALIBRATION_SIGMA_KEY, CAMERAS_KEY, DATABASE, EXTRACTOR, FOCAL_PRIOR,
     FOUND_PAIRS, INTRINSICS, MATCHER, MAX_PIXELS_KEY, MAX_SIZE_KEY, NONE, PAIRS,
-    REFINE_EXTRINSICS_KEY, RIG_CALIBRATION_KEY,
+    POSITION_PRIORS_KEY, REFINE_EXTRINSICS_KEY, RIG_CALIBRATION_KEY,
 };
 
 /// Keys with their values.
@@ -96,6 +96,11 @@ pub(crate) fn calibration_sigma_option(sigma_px: Option<f64>) -> (&'static str, 
 /// Known rigs by the hash of their file, and whether they are refined: options of the map stage.
 pub(crate) fn rig_calibration_options(hash: Option<String>, is_refined: bool) -> Texts {
     vec![(RIG_CALIBRATION_KEY, or_none(hash)), (REFINE_EXTRINSICS_KEY, is_refined.to_string())]
+}
+
+/// Measured positions by their hash, an option of the map stage.
+pub(crate) fn position_priors_option(hash: Option<String>) -> (&'static str, String) {
+    (POSITION_PRIORS_KEY, or_none(hash))
 }
 
 /// Options of the match stage. `pairs`: in the format of the command line, or
@@ -443,6 +448,7 @@ mod tests {
             .chain([pixel_limit_option(DEFAULT_MAX_PIXELS), cameras_option(CameraGrouping::Auto)])
             .chain([calibration_files_option(&[]), calibration_sigma_option(None)])
             .chain(rig_calibration_options(None, false))
+            .chain([position_priors_option(None)])
             .chain(mapping_options(&mapper, None))
             .chain(input_model_options("", false))
             .chain(database_options("", false))

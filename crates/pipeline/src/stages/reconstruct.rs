@@ -7,6 +7,7 @@ use crate::stages::features::{FeatureOptions, extract_features_of};
 use crate::stages::foreign_database::import_features;
 use crate::stages::mapping::{MapOptions, check_times, map};
 use crate::stages::matching::{MatchOptions, match_images};
+use crate::stages::positions::PositionPriors;
 use crate::stages::video::{OpenedInput, open_input};
 use crate::{Error, Report, Stage, Watch, Workspace};
 
@@ -57,6 +58,7 @@ pub fn reconstruct(
         open_input(inputs, masks, workspace, every, options.redo, watch)?;
     let mut features = options.features.clone();
     features.timestamps = features.timestamps.or(timestamps);
+    features.keeps_positions &= options.mapping.position_priors != PositionPriors::Off;
     // What cannot be mapped as asked for is refused before hours of matching. An input model may
     // have further cameras.
     let mapping = &options.mapping;

@@ -22,46 +22,55 @@ use crate::workspace::report::ScaleReport;
 const MIN_FRAMES: usize = 2;
 
 /// Scales each model and its rig extrinsics, so that its first two cameras are `baseline_m` apart.
-/// A model without extrinsics uses the clocks of the largest model that has some.
-pub(crate) fn scale_to_baseline(models: &mut [MappedModel], baseline_m: f64) -> Vec<ScaleReport> {
+/// A model without extrinsics uses the clocks of the largest model that has some. `has_positions`:
+/// they may scale a model that the baseline does not.
+pub(crate) fn scale_to_baseline(
+    models: &mut [MappedModel],
+    baseline_m: f64,
+    has_positions: bool,
+) -> Vec<ScaleReport> {
     let calibrated =
         models.iter().filter_map(|model| model.rig.as_ref()).find(|rig| !rig.cameras.is_empty());
     let known: Vec<SensorPair> = calibrated
         .map_or(Vec::new(), |rig| rig.cameras.iter().map(|camera| camera.sensor_pair).collect());
-    models.iter_mut().map(|model| scale_model(model, &known, baseline_m)).collect()
+    let unscaled =
+        if has_positions { "the baseline sets no scale" } else { "the model was not scaled" };
+    let scaled = models.iter_mut().map(|model| {
+        scale_model(model, &known, baseline_m).unwrap_or_else(|why| ScaleReport {
+            baseline_m,
+            factor: None,
+            reason: format!("{unscaled}, because {why}"),
+        })
+    });
+    scaled.collect()
 }
 
-fn scale_model(model: &mut MappedModel, known: &[SensorPair], baseline_m: f64) -> ScaleReport {
+/// An error is the end of "because …".
+fn scale_model(
+    model: &mut MappedModel,
+    known: &[SensorPair],
+    baseline_m: f64,
+) -> Result<ScaleReport, String> {
     let MappedModel { reconstruction, rig, row_poses, .. } = model;
     let baseline = match rig.as_ref().and_then(|rig| rig.cameras.first()) {
         Some(camera) => Ok(extrinsics_baseline(reconstruction, camera)),
         None => mean_baseline(reconstruction, known),
     };
-    let factor = baseline.and_then(|(units, source)| {
-        let factor = baseline_m / units;
-        if factor.is_normal() {
-            Ok((factor, source))
-        } else {
-            Err("the two cameras are at the same position".to_owned())
-        }
-    });
-    let (factor, source) = match factor {
-        Ok(factor) => factor,
-        Err(reason) => {
-            let reason = format!("the model was not scaled, because {reason}");
-            return ScaleReport { baseline_m, factor: None, reason };
-        }
-    };
+    let (units, source) = baseline?;
+    let factor = baseline_m / units;
+    if !factor.is_normal() {
+        return Err("the two cameras are at the same position".to_owned());
+    }
     let (rotation, translation) = (UnitQuaternion::identity(), Vector3::zeros());
     reconstruction.transform(&Sim3 { scale: factor, rotation, translation });
     row_poses.values_mut().for_each(|rows| rows.velocity_in_world *= factor);
     let cameras = rig.iter_mut().flat_map(|rig| &mut rig.cameras);
     cameras.enumerate().for_each(|(k, camera)| scale_extrinsics(camera, factor, k == 0));
-    ScaleReport {
+    Ok(ScaleReport {
         baseline_m,
         factor: Some(factor),
         reason: format!("{source} is {baseline_m} m long"),
-    }
+    })
 }
 
 /// A baseline in units of the model, and its source in words.
@@ -112,7 +121,7 @@ fn mean_baseline(model: &Reconstruction, known: &[SensorPair]) -> Result<Baselin
 
 /// Scales extrinsics and their covariance. The first baseline is given (`has_given_length`), so
 /// that its length gets zero variance.
-fn scale_extrinsics(camera: &mut CalibratedCamera, factor: f64, has_given_length: bool) {
+pub(crate) fn scale_extrinsics(camera: &mut CalibratedCamera, factor: f64, has_given_length: bool) {
     let translation = camera.cam_from_rig.translation;
     camera.cam_from_rig.translation *= factor;
     camera.sensor_pair.assumed_baseline =
@@ -224,7 +233,7 @@ mod tests {
             num_loop_pairs: 0,
             failures: Vec::new(),
         }];
-        let report = scale_to_baseline(&mut models, BASELINE_M).remove(0);
+        let report = scale_to_baseline(&mut models, BASELINE_M, false).remove(0);
         let [model] = models;
         (model, report)
     }

@@ -2,6 +2,8 @@
 
 /// Rig extrinsics of the largest model.
 pub const RIG: &str = "rig.json";
+/// Where the frame of the models is, if positions told.
+pub(crate) const GEOREFERENCE: &str = "georeference.json";
 /// Folder of the models.
 pub(crate) const SPARSE: &str = "sparse";
 

@@ -7,7 +7,7 @@ use std::path::{Component, Path, PathBuf};
 use tiepoint_io::database::{Database, read_stage_rows};
 use tiepoint_store::{Error as StoreError, OutputFolder, disk};
 
-use crate::workspace::file_names::{DENSE, RIG, SPARSE, is_rig_name, model_path};
+use crate::workspace::file_names::{DENSE, GEOREFERENCE, RIG, SPARSE, is_rig_name, model_path};
 use crate::workspace::format::json;
 use crate::workspace::records::{Progress, Recipe, Records};
 use crate::workspace::report::Report;
@@ -32,7 +32,7 @@ pub(crate) const POINTS: &str = "points.ply";
 pub(crate) const TIMESTAMPS: &str = "timestamps.csv";
 pub(crate) const DATABASE: &str = "database.db";
 /// Names of files in a workspace. A folder that has one of them cannot become a workspace.
-const RESERVED: [&str; 13] = [
+const RESERVED: [&str; 14] = [
     STAGES,
     DATABASE,
     "database.db-wal",
@@ -42,6 +42,7 @@ const RESERVED: [&str; 13] = [
     "frames",
     REPORT,
     RIG,
+    GEOREFERENCE,
     POINTS,
     TIMESTAMPS,
     "report.html",

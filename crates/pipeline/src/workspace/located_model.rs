@@ -149,6 +149,13 @@ impl LocatedModel {
         Self { reconstruction, rig: None, ..self.clone() }
     }
 
+    /// The same without its place on the earth, for exports.
+    pub(crate) fn without_place(&self) -> Self {
+        let mut model = self.clone();
+        model.reconstruction.georeference = None;
+        model
+    }
+
     /// Writes the model into a folder in the format that it was read in, and replaces an earlier
     /// one of this program. No file of `inputs` is replaced.
     ///
@@ -170,7 +177,8 @@ impl LocatedModel {
         format: Format,
         inputs: &[PathBuf],
     ) -> Result<(), Error> {
-        let known = self.has_sidecar.then(|| (self.shutters.clone(), self.rig.clone()));
+        let is_known = self.has_sidecar || self.reconstruction.georeference.is_some();
+        let known = is_known.then(|| (self.shutters.clone(), self.rig.clone()));
         write_colmap(to, &self.reconstruction, format, known.as_ref(), inputs)
     }
 }

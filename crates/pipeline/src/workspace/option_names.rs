@@ -35,6 +35,8 @@ pub(crate) const MATCHER: (&str, &str) = ("match.matcher", NearestNeighbours::NA
 /// Key of the pairs to match, and its value for those of a database of another program.
 pub(crate) const PAIRS: &str = "match.pairs";
 pub(crate) const PAIRS_OF_DATABASE: &str = "database";
+/// Key of measured positions.
+pub(crate) const POSITION_PRIORS_KEY: &str = "mapper.position_priors";
 /// Key of the file of known rigs.
 pub(crate) const RIG_CALIBRATION_KEY: &str = "mapper.rig_calibration";
 /// Key that tells whether known extrinsics are refined.

@@ -193,6 +193,11 @@ impl Records {
         IN_DATABASE.iter().for_each(|stage| drop(self.stages.remove(stage)));
     }
 
+    /// Whether a stage was begun.
+    pub(crate) fn is_begun(&self, stage: Stage) -> bool {
+        self.stages.contains_key(&stage)
+    }
+
     /// Whether a stage is complete.
     pub(crate) fn is_complete(&self, stage: Stage) -> bool {
         self.stages.get(&stage).is_some_and(|record| record.is_complete)

@@ -174,6 +174,9 @@ pub struct ModelReport {
     pub failed: Vec<String>,
     /// The metric scale, with `--baseline`.
     pub scale: Option<ScaleReport>,
+    /// How the model lies to measured positions, if it is in their frame.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub positions: Option<PositionReport>,
 }
 
 /// A camera.
@@ -297,6 +300,7 @@ impl ModelReport {
             loop_pairs: 0,
             failed: Vec::new(),
             scale: None,
+            positions: None,
         }
     }
 }
@@ -345,6 +349,45 @@ impl Report {
             }
         }
     }
+}
+
+/// How a model lies to measured positions. Where on the earth it is, is not here.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(expecting = "an object")]
+pub struct PositionReport {
+    /// Number of images with a pose and a position.
+    pub positions: usize,
+    /// Images whose positions deviate by more than three deviations.
+    pub outliers: Vec<String>,
+    /// Standard deviation of the positions about the model along a horizontal axis, in metres.
+    pub sigma_horizontal_m: f64,
+    /// Standard deviation of their heights, in metres; `None` if too few have one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sigma_vertical_m: Option<f64>,
+    /// What gives the scale: `positions`, `baseline` or `rig`.
+    pub scale_of: String,
+    /// The scale that the positions give, relative to that of the model. `None` if they do not tell
+    /// it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub scale: Option<f64>,
+    /// Its standard deviation.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub scale_sd: Option<f64>,
+    /// Standard deviation of the heading, in degrees.
+    pub heading_sd_deg: f64,
+    /// Standard deviation of the vertical, in degrees, if the photos being level gives it: the
+    /// positions are on a line or have no altitudes.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub level_sd_deg: Option<f64>,
+    /// Whether the positions took part in the adjustments.
+    pub is_adjusted: bool,
+    /// Median distance of the cameras from held-out positions, in metres: without positions in the
+    /// adjustments, and with the others. `None` if that was not tried.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub held_out_median_m: Option<[f64; 2]>,
+    /// By how many of its standard deviations the squared distance is smaller with them.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub held_out_t: Option<f64>,
 }
 
 /// The metric scale of a model.

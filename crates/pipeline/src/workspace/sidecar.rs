@@ -9,9 +9,10 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 use tiepoint_input::fingerprint::hash_files;
 use tiepoint_io::colmap::{Format, MODEL_FILES};
+use tiepoint_sfm::geometry::geodesy::{Geodetic, LocalFrame};
 use tiepoint_sfm::geometry::{CameraModelKind, Intrinsics};
 use tiepoint_sfm::rolling_shutter::RollingShutter;
-use tiepoint_sfm::scene::{CameraId, IntrinsicsPrior, PointId, Reconstruction};
+use tiepoint_sfm::scene::{CameraId, Georeference, IntrinsicsPrior, PointId, Reconstruction};
 
 use crate::Error;
 use crate::workspace::format;
@@ -34,6 +35,51 @@ pub(crate) struct Sidecar {
     held_out_points: Vec<u64>,
     /// Extrinsics and clocks of the rig.
     rig: Option<RigFile>,
+    /// Where the world frame is.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    georeference: Option<GeoreferenceFacts>,
+}
+
+/// Where the world frame is: metric, x and y horizontal, z up.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "frame", rename_all = "lowercase")]
+pub(crate) enum GeoreferenceFacts {
+    /// East, north and up, WGS 84, at this origin, whose height may not be known.
+    Enu {
+        latitude_deg: f64,
+        longitude_deg: f64,
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        height_m: Option<f64>,
+    },
+    /// The coordinates of the positions are those of the model plus `offset`.
+    Cartesian { offset: [f64; 3] },
+}
+
+impl From<&Georeference> for GeoreferenceFacts {
+    fn from(georeference: &Georeference) -> Self {
+        match georeference {
+            Georeference::Enu { frame, has_height } => {
+                let Geodetic { latitude_deg, longitude_deg, height_m } = *frame.origin();
+                let height_m = has_height.then_some(height_m);
+                Self::Enu { latitude_deg, longitude_deg, height_m }
+            }
+            Georeference::Cartesian { offset } => Self::Cartesian { offset: (*offset).into() },
+        }
+    }
+}
+
+impl From<GeoreferenceFacts> for Georeference {
+    fn from(facts: GeoreferenceFacts) -> Self {
+        match facts {
+            GeoreferenceFacts::Enu { latitude_deg, longitude_deg, height_m } => {
+                let has_height = height_m.is_some();
+                let height_m = height_m.unwrap_or(0.0);
+                let origin = Geodetic { latitude_deg, longitude_deg, height_m };
+                Self::Enu { frame: LocalFrame::new(origin), has_height }
+            }
+            GeoreferenceFacts::Cartesian { offset } => Self::Cartesian { offset: offset.into() },
+        }
+    }
 }
 
 /// What COLMAP's files do not say of a camera.
@@ -140,6 +186,7 @@ impl Sidecar {
             images: model.registered().map(image).collect(),
             held_out_points: held_out.map(|(id, _)| ids.point(id)).collect(),
             rig,
+            georeference: model.georeference.as_ref().map(GeoreferenceFacts::from),
         })
     }
 
@@ -222,6 +269,7 @@ impl Sidecar {
                 track.is_held_out = true;
             }
         }
+        model.georeference = self.georeference.map(Georeference::from);
         Ok((shutters, self.rig))
     }
 }
@@ -265,6 +313,9 @@ mod tests {
         let prior = IntrinsicsPrior::new(intrinsics, 640, 480, 0.7);
         model.intrinsics_priors.insert(cameras[0], prior);
         model.portrait_landscape_pairs = vec![cameras];
+        let origin = Geodetic { latitude_deg: 55.7, longitude_deg: 13.2, height_m: 1.0 / 3.0 };
+        let frame = LocalFrame::new(origin);
+        model.georeference = Some(Georeference::Enu { frame, has_height: true });
         model
     }
 
@@ -308,6 +359,7 @@ mod tests {
                 assert_eq!(read.calibrated, model.calibrated);
                 assert_eq!(read.intrinsics_priors, model.intrinsics_priors);
                 assert_eq!(read.portrait_landscape_pairs, model.portrait_landscape_pairs);
+                assert_eq!(read.georeference, model.georeference);
                 assert!(read.cameras().eq(model.cameras()));
                 assert!(read.tracks().map(|(_, t)| t.is_held_out).eq([false, true]));
                 // A copy says the same.

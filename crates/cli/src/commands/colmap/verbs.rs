@@ -134,7 +134,7 @@ pub(super) const OTHERS: &[(&str, &str)] = &[
     ("patch_match_stereo", DENSE),
     ("point_filtering", MODELS),
     ("poisson_mesher", NO_MESH),
-    ("pose_prior_mapper", "`mapper`, and then `model_aligner` to the positions"),
+    ("pose_prior_mapper", "`tiepoint reconstruct --database FILE` takes `pose_priors`"),
     ("project_generator", "options are given on the command line"),
     ("rotation_averager", MAPPERS),
     ("spatial_matcher", "`sequential_matcher`, or `tiepoint match`, which chooses similar images"),

@@ -1,0 +1,4 @@
+//! What is known beside the photos.
+
+mod positions;
+mod rig_calibration;

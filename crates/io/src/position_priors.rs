@@ -1,0 +1,148 @@
+//! Measured positions of images: a CSV file with the header `image,lat,lon,alt` (WGS 84, degrees
+//! and metres) or `image,x,y,z` (a Cartesian frame in metres, z up). Columns of standard deviations
+//! in metres may follow: `sigma`, or `sigma_h,sigma_v` (along each horizontal axis, and of the
+//! height).
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use tiepoint_geometry::nalgebra::Vector3;
+use tiepoint_scene::{Place, Position};
+
+use crate::Result;
+use crate::text::excerpt::Excerpt;
+use crate::text::{Lines, Words};
+
+const EXPECTED: &str =
+    "`image,lat,lon,alt` or `image,x,y,z`, perhaps with `,sigma` or `,sigma_h,sigma_v`";
+
+/// The columns behind the name.
+struct Columns {
+    is_geodetic: bool,
+    num_sigmas: usize,
+}
+
+impl Columns {
+    fn of_header(header: &str) -> Option<Self> {
+        let mut words = header.split(',').map(|word| word.trim().to_ascii_lowercase());
+        let words: Vec<String> = words.by_ref().collect();
+        let [image, place @ ..] = words.as_slice() else { return None };
+        let place: Vec<&str> = place.iter().map(String::as_str).collect();
+        let (place, sigmas) = place.split_at_checked(3)?;
+        let is_geodetic = match place {
+            ["lat" | "latitude", "lon" | "longitude", "alt" | "altitude"] => true,
+            ["x", "y", "z"] => false,
+            _ => return None,
+        };
+        let is_known = matches!(sigmas, [] | ["sigma"] | ["sigma_h", "sigma_v"]);
+        (image == "image" && is_known).then_some(Self { is_geodetic, num_sigmas: sigmas.len() })
+    }
+
+    /// The name and the position of a line.
+    fn read(&self, line: &mut Words) -> Result<(String, Position)> {
+        let text = line.rest();
+        let count = 3 + self.num_sigmas;
+        let mut fields: Vec<&str> = text.rsplitn(count + 1, ',').map(str::trim).collect();
+        fields.reverse();
+        if fields.len() <= count || fields[0].is_empty() {
+            return Err(line.error(format!(
+                "`{}` is not a name and {count} numbers between commas",
+                Excerpt(text)
+            )));
+        }
+        let name = fields[0];
+        // Of a number with a decimal comma, a part ends up in the name.
+        let is_number = |text: &str| text.trim().parse::<f64>().is_ok();
+        if name.rsplit_once(',').is_some_and(|(_, last)| is_number(last)) {
+            return Err(line.error(format!(
+                "`{}` has more than {count} numbers: decimals follow a point, not a comma",
+                Excerpt(text)
+            )));
+        }
+        let of_name = Excerpt(name);
+        let number = |field: &str, what: &str| match field.parse::<f64>() {
+            Ok(value) if value.is_finite() => Ok(value),
+            _ => Err(line.error(format!("{what} of {of_name} is `{}`, no number", Excerpt(field)))),
+        };
+        let place = if self.is_geodetic {
+            let altitude_m = match fields[3] {
+                "" => None,
+                field => Some(number(field, "the altitude")?),
+            };
+            let latitude_deg = number(fields[1], "the latitude")?;
+            Place::Geodetic {
+                latitude_deg,
+                longitude_deg: number(fields[2], "the longitude")?,
+                altitude_m,
+            }
+        } else {
+            let [x, y, z] = [(1, "x"), (2, "y"), (3, "z")].map(|(k, what)| number(fields[k], what));
+            Place::Cartesian(Vector3::new(x?, y?, z?))
+        };
+        place.validate().map_err(|what| {
+            let is_swapped = what.starts_with("the latitude");
+            let swapped = if is_swapped { ": latitude comes before longitude" } else { "" };
+            line.error(format!("{what} for {of_name}{swapped}"))
+        })?;
+        let mut sigmas_m = [None; 2];
+        for (sigma_m, field) in sigmas_m.iter_mut().zip(&fields[4..]) {
+            if !field.is_empty() {
+                let value = number(field, "a standard deviation")?;
+                if value <= 0.0 {
+                    let what =
+                        format!("the standard deviation {value} of {of_name} is not above 0");
+                    return Err(line.error(what));
+                }
+                *sigma_m = Some(value);
+            }
+        }
+        if self.num_sigmas == 1 {
+            sigmas_m[1] = sigmas_m[0];
+        }
+        let [sigma_horizontal_m, sigma_vertical_m] = sigmas_m;
+        Ok((name.to_owned(), Position { place, sigma_horizontal_m, sigma_vertical_m }))
+    }
+}
+
+/// Whether a file is of this kind: its first line begins with `image` and a separator.
+///
+/// # Errors
+///
+/// If the file cannot be read.
+pub fn has_header(path: &Path) -> Result<bool> {
+    let mut lines = Lines::open(path)?;
+    let first = lines.next()?.map(|mut words| words.rest().to_ascii_lowercase());
+    let rest = first.as_deref().and_then(|line| line.strip_prefix("image"));
+    Ok(rest.is_some_and(|rest| rest.trim_start().starts_with([',', ';'])))
+}
+
+/// Reads measured positions by the names of the images. The last commas of a line separate, so that
+/// a name may contain some. An altitude or standard deviation may be left empty.
+///
+/// # Errors
+///
+/// If the file cannot be read or has no position, if its header is another one, if a number is
+/// missing, not finite or out of its range, and if a name is listed twice.
+pub fn read(path: &Path) -> Result<BTreeMap<String, Position>> {
+    let mut lines = Lines::open(path)?;
+    let header = lines.next()?.map(|mut words| words.rest().to_owned()).unwrap_or_default();
+    let Some(columns) = Columns::of_header(&header) else {
+        let separators = if header.contains([';', '\t']) { ", separated by commas" } else { "" };
+        return Err(lines.error(format!(
+            "the header is `{}` and must be {EXPECTED}{separators}",
+            Excerpt(&header)
+        )));
+    };
+    let mut positions = BTreeMap::new();
+    while let Some(mut line) = lines.next()? {
+        let (name, position) = columns.read(&mut line)?;
+        if positions.contains_key(&name) {
+            return Err(line.error(format!("the image {} is listed twice", Excerpt(&name))));
+        }
+        positions.insert(name, position);
+    }
+    if positions.is_empty() {
+        return Err(lines.error("has no position"));
+    }
+    Ok(positions)
+}

@@ -1,0 +1,21 @@
+//! Measured positions of cameras: the similarity of a model to their frame, their term in bundle
+//! adjustments, and whether a model that was built with them is better.
+//!
+//! Positions may be wrong: a receiver between walls, a fix that stands still, a file whose columns
+//! are swapped. The similarity is that of least median of squares (Rousseeuw 1984), the term has a
+//! robust loss, and a model with the term counts only if positions that took no part say so
+//! ([`compare`]).
+
+mod alignment;
+mod control_points;
+mod evidence;
+mod measured;
+mod term;
+
+pub use alignment::{Misfit, PositionAlignment, align, may_be_mirrored};
+pub use control_points::{
+    ControlAlignment, ControlMisfit, MarkedPoint, PointError, align_to_points,
+};
+pub use evidence::{Comparison, compare, held_out};
+pub use measured::MeasuredPosition;
+pub use term::PositionTerm;
