@@ -59,7 +59,7 @@ impl OutputFolder {
         Ok(Some(content))
     }
 
-    /// Whether there is a file of that name that does not begin with `magic`.
+    /// Whether there is a file of that name that is not empty and does not begin with `magic`.
     fn is_foreign(&self, magic: &[u8]) -> Result<bool, Error> {
         let failed = || Error::unreadable(&self.root.join(STATE));
         let found = self.root.metadata(STATE).map_err(failed())?;
@@ -69,7 +69,7 @@ impl OutputFolder {
         let file = self.root.open_file(STATE).map_err(failed())?;
         let mut first = Vec::new();
         file.take(magic.len() as u64).read_to_end(&mut first).map_err(failed())?;
-        Ok(first != magic)
+        Ok(!first.is_empty() && first != magic)
     }
 
     /// Removes the state of a run that is finished, and what a killed one left of it.
@@ -132,6 +132,9 @@ mod tests {
         assert!(folder.keep_state(b"s state", MAGIC).is_err());
         folder.remove_state(MAGIC).unwrap();
         assert_eq!(fs::read(dir.path().join(STATE)).unwrap(), b"mine");
+        fs::write(dir.path().join(STATE), "").unwrap();
+        folder.keep_state(b"s state", MAGIC).unwrap();
+        assert_eq!(folder.state(MAGIC).unwrap().unwrap(), b"s state");
     }
 
     #[cfg(unix)]

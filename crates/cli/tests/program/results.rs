@@ -134,7 +134,7 @@ fn photos_become_a_model_and_a_second_run_keeps_it() {
         .failed(1, &["no two cameras", "leave out --rigid"]);
     let unscaled = tiepoint_in(dir, "map {}/ws --baseline 1m --redo map").done().stdout();
     assert!(
-        unscaled.contains("scale     the baseline sets no scale, because there is only one camera"),
+        unscaled.contains("scale     the model was not scaled, because there is only one camera"),
         "{unscaled}"
     );
     tiepoint_in(dir, "map {}/ws --redo map").done();
