@@ -1,5 +1,6 @@
 //! The state of an unfinished run, in a file of its own beside the results.
 
+use std::fs::File;
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
@@ -44,32 +45,32 @@ impl OutputFolder {
     ///
     /// The file cannot be read.
     pub fn state(&self, magic: &[u8]) -> Result<Option<Vec<u8>>, Error> {
+        let Some((mut content, mut rest)) = self.opened(magic)?.filter(|(first, _)| first == magic)
+        else {
+            return Ok(None);
+        };
+        rest.read_to_end(&mut content).map_err(Error::unreadable(&self.root.join(STATE)))?;
+        Ok(Some(content))
+    }
+
+    /// Whether there is a file of that name that is not empty and does not begin with `magic`.
+    fn is_foreign(&self, magic: &[u8]) -> Result<bool, Error> {
+        let opened = self.opened(magic)?;
+        Ok(opened.is_some_and(|(first, _)| !first.is_empty() && first != magic))
+    }
+
+    /// The file of that name, if it is a file: as many bytes of its begin as `magic` has, and the
+    /// rest.
+    fn opened(&self, magic: &[u8]) -> Result<Option<(Vec<u8>, File)>, Error> {
         let failed = || Error::unreadable(&self.root.join(STATE));
         let found = self.root.metadata(STATE).map_err(failed())?;
         if !found.is_some_and(|found| found.is_file()) {
             return Ok(None);
         }
         let mut file = self.root.open_file(STATE).map_err(failed())?;
-        let mut content = Vec::new();
-        file.by_ref().take(magic.len() as u64).read_to_end(&mut content).map_err(failed())?;
-        if content != magic {
-            return Ok(None);
-        }
-        file.read_to_end(&mut content).map_err(failed())?;
-        Ok(Some(content))
-    }
-
-    /// Whether there is a file of that name that is not empty and does not begin with `magic`.
-    fn is_foreign(&self, magic: &[u8]) -> Result<bool, Error> {
-        let failed = || Error::unreadable(&self.root.join(STATE));
-        let found = self.root.metadata(STATE).map_err(failed())?;
-        if !found.is_some_and(|found| found.is_file()) {
-            return Ok(false);
-        }
-        let file = self.root.open_file(STATE).map_err(failed())?;
         let mut first = Vec::new();
-        file.take(magic.len() as u64).read_to_end(&mut first).map_err(failed())?;
-        Ok(!first.is_empty() && first != magic)
+        file.by_ref().take(magic.len() as u64).read_to_end(&mut first).map_err(failed())?;
+        Ok(Some((first, file)))
     }
 
     /// Removes the state of a run that is finished, and what a killed one left of it.

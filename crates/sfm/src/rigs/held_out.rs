@@ -10,7 +10,8 @@ use crate::timeline::images_of_cameras;
 /// Truncation of the reprojection errors of held-out observations, in pixels.
 const MAX_HELD_OUT_ERROR_PX: f64 = 4.0;
 /// Parts of the drive whose errors count as independent of each other in the standard deviation of
-/// a change. They are longer than tracks as long as a drive has some hundred images.
+/// a change. They are longer than tracks as long as a drive has some hundred images. The usual
+/// number of a jackknife; half and double were not measured. It decides nothing.
 const BLOCKS: usize = 20;
 
 /// Returns the observations of the held-out tracks with at least three observations. Tracks of two
