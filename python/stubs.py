@@ -17,7 +17,7 @@ HEAD = '''"""Type stubs, written by stubs.py."""
 
 import os
 from collections.abc import Callable, Sequence
-from typing import Any, Optional, TypedDict, Union
+from typing import Any, Literal, Optional, TypedDict, Union
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -83,6 +83,9 @@ class Reconstruction:
     def point_errors(self) -> Floats: ...
     @property
     def observations(self) -> NDArray[np.uint32]: ...
+    def remove_points(self, points: ArrayLike) -> None: ...
+    def remove_observations(self, observations: ArrayLike) -> None: ...
+    def remove_images(self, images: ArrayLike) -> None: ...
     @property
     def rigs(self) -> list[dict[str, Any]]: ...
     @property
@@ -104,6 +107,32 @@ class AbsolutePose(TypedDict):
     cam_from_world: Floats
     num_inliers: int
     inliers: NDArray[np.bool_]
+
+class GeneralizedAbsolutePose(TypedDict):
+    rig_from_world: Floats
+    num_inliers: int
+    inliers: NDArray[np.bool_]
+
+class Similarity(TypedDict):
+    b_from_a: Floats
+    scale: float
+    num_inliers: int
+    inliers: NDArray[np.bool_]
+
+class Point(TypedDict):
+    point: Floats
+    inliers: NDArray[np.bool_]
+
+class AverageRelativePose(TypedDict):
+    cam2_from_cam1: Floats
+    median_baseline: float
+    rms_translation: float
+    rms_rotation: float
+    second_over_first_half: float
+
+class ClockOffset(TypedDict):
+    offset: float
+    sd: float
 
 class Homography(TypedDict):
     homography: Floats
@@ -153,6 +182,38 @@ def absolute_pose(
     max_error: float = 4.0,
     seed: int = 0,
 ) -> Optional[AbsolutePose]: ...
+def generalized_absolute_pose(
+    pixels: ArrayLike,
+    points_in_world: ArrayLike,
+    camera_indices: ArrayLike,
+    cams_from_rig: ArrayLike,
+    cameras: Sequence[Camera],
+    *,
+    max_error: float = 4.0,
+    seed: int = 0,
+) -> Optional[GeneralizedAbsolutePose]: ...
+def similarity(
+    points_a: ArrayLike,
+    points_b: ArrayLike,
+    *,
+    max_error: float,
+    with_scale: bool = True,
+    seed: int = 0,
+) -> Optional[Similarity]: ...
+def triangulate(
+    pixels: ArrayLike,
+    poses: ArrayLike,
+    cameras: Union[Camera, Sequence[Camera]],
+    *,
+    max_error: float = 4.0,
+    min_angle: float = 1.5,
+) -> Optional[Point]: ...
+def average_relative_pose(
+    poses1: ArrayLike, poses2: ArrayLike
+) -> Optional[AverageRelativePose]: ...
+def clock_offset(
+    times1: ArrayLike, poses1: ArrayLike, times2: ArrayLike, poses2: ArrayLike
+) -> Optional[ClockOffset]: ...
 def homography(
     points1: ArrayLike, points2: ArrayLike, *, max_error: float = 4.0, seed: int = 0
 ) -> Optional[Homography]: ...
@@ -162,7 +223,14 @@ def fundamental(
 def bundle_adjust(
     reconstruction: Reconstruction,
     *,
-    refine: str = "focal,distortion",
+    refine: Union[None, str, Sequence[str]] = None,
+    fixed_poses: Optional[ArrayLike] = None,
+    fixed_rigs: bool = False,
+    loss: Literal["trivial", "huber", "soft_l1", "cauchy", "tukey"] = "soft_l1",
+    loss_scale: float = 4.0,
+    focal_priors: Sequence[tuple[int, float, float]] = ...,
+    centers: Optional[ArrayLike] = None,
+    center_sigmas: Optional[ArrayLike] = None,
     max_iterations: int = 100,
 ) -> Adjustment: ...
 def undistort(

@@ -1,6 +1,7 @@
 //! The Python package `tiepoint`: the commands of the program, and models, features, matches and
 //! poses as numpy arrays.
 
+mod adjustment;
 mod arrays;
 mod camera;
 mod command;
@@ -9,6 +10,7 @@ mod estimate;
 mod features;
 mod fork;
 mod reconstruction;
+mod rig;
 mod undistort;
 
 use pyo3::prelude::*;
@@ -27,9 +29,14 @@ fn _tiepoint(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(features::match_descriptors, module)?)?;
     module.add_function(wrap_pyfunction!(estimate::relative_pose, module)?)?;
     module.add_function(wrap_pyfunction!(estimate::absolute_pose, module)?)?;
+    module.add_function(wrap_pyfunction!(estimate::generalized_absolute_pose, module)?)?;
+    module.add_function(wrap_pyfunction!(estimate::similarity, module)?)?;
+    module.add_function(wrap_pyfunction!(estimate::triangulate, module)?)?;
+    module.add_function(wrap_pyfunction!(rig::average_relative_pose, module)?)?;
+    module.add_function(wrap_pyfunction!(rig::clock_offset, module)?)?;
     module.add_function(wrap_pyfunction!(estimate::homography, module)?)?;
     module.add_function(wrap_pyfunction!(estimate::fundamental, module)?)?;
-    module.add_function(wrap_pyfunction!(reconstruction::bundle_adjust, module)?)?;
+    module.add_function(wrap_pyfunction!(adjustment::bundle_adjust, module)?)?;
     module.add_function(wrap_pyfunction!(undistort::undistort, module)?)?;
     Ok(())
 }

@@ -1,47 +1,49 @@
 //! Models as arrays.
 
 use std::ffi::CString;
-use std::ops::ControlFlow;
 use std::path::PathBuf;
 
-use numpy::ndarray::{Array4, Ix2, Ix3};
+use numpy::ndarray::{Array4, Ix2};
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3, PyArray4};
 use pyo3::exceptions::{PyIndexError, PyUserWarning};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use tiepoint_geometry::nalgebra::{Matrix3, Matrix4, UnitQuaternion, Vector3};
+use tiepoint_geometry::nalgebra::{Matrix4, UnitQuaternion, Vector3};
 use tiepoint_geometry::{Rigid3, Sim3};
 use tiepoint_io::colmap::Format;
 use tiepoint_pipeline::workspace::LocatedModel;
-use tiepoint_scene::{CameraId, Image, ImageId, PointId};
-use tiepoint_sfm::adjust::{AdjustOptions, RefineIntrinsics, Scope, adjust};
+use tiepoint_scene::{CameraId, Image, ImageId, Observation, PointId};
 use tiepoint_sfm::rolling_shutter::{RollingShutter, row_poses};
 
-use crate::arrays::{invalid_array, matrix, numbers, pose, poses, rows, vector};
+use crate::arrays::{
+    invalid_array, is_rotation, matrix, numbers, pose, poses, poses_of, rows, selection, vector,
+};
 use crate::camera::Camera;
 use crate::errors::{failed, invalid};
-use crate::fork::refuse_after_fork;
-
-/// Largest difference of the entries of RᵀR from the identity for a rotation matrix.
-const ROTATION_TOLERANCE: f64 = 1e-6;
 
 /// A COLMAP model. Images are those with a pose, in the order of their ids; arrays of images have a
 /// row for each of them, and arrays of points a row for each point. Poses are cam_from_world as
 /// matrices [R | t]. The centre of the top-left pixel is (0.5, 0.5).
 #[pyclass(module = "tiepoint")]
 pub(crate) struct Reconstruction {
-    model: tiepoint_scene::Reconstruction,
+    pub(crate) model: tiepoint_scene::Reconstruction,
     /// The images with a pose.
-    images: Vec<ImageId>,
+    pub(crate) images: Vec<ImageId>,
     points: Vec<PointId>,
     shutters: Vec<RollingShutter>,
 }
 
 impl Reconstruction {
     fn new(model: tiepoint_scene::Reconstruction, shutters: Vec<RollingShutter>) -> Self {
-        let images = model.registered().map(|(id, ..)| id).collect();
-        let points = model.tracks().map(|(id, _)| id).collect();
-        Self { model, images, points, shutters }
+        let mut this = Self { model, images: Vec::new(), points: Vec::new(), shutters };
+        this.list();
+        this
+    }
+
+    /// Lists the images with a pose and the points of the model.
+    fn list(&mut self) {
+        self.images = self.model.registered().map(|(id, ..)| id).collect();
+        self.points = self.model.tracks().map(|(id, _)| id).collect();
     }
 
     fn image(&self, index: usize) -> PyResult<&Image> {
@@ -133,24 +135,10 @@ impl Reconstruction {
     /// Replaces the poses. Images of a frame of a rig are no longer rigidly connected.
     #[setter]
     fn set_poses(&mut self, value: &Bound<'_, PyAny>) -> PyResult<()> {
+        let all = poses_of(value, "poses")?;
         let count = self.images.len();
-        let shape = format!("({count}, 3, 4)");
-        let array = numbers::<Ix3>(value, "poses", &shape)?;
-        let array = array.as_array();
-        if array.dim() != (count, 3, 4) {
-            return Err(invalid_array(value, "poses", "numbers", &shape));
-        }
-        let mut all = Vec::new();
-        for matrix in array.outer_iter() {
-            let rotation = Matrix3::from_fn(|row, column| matrix[(row, column)]);
-            let translation = Vector3::from_fn(|row, _| matrix[(row, 3)]);
-            let off = (rotation.transpose() * rotation - Matrix3::identity()).amax();
-            let is_rotation = off <= ROTATION_TOLERANCE && rotation.determinant() > 0.0;
-            if !is_rotation || !translation.iter().all(|value| value.is_finite()) {
-                return Err(invalid("poses must be matrices [R | t] with rotations R"));
-            }
-            let rotation = UnitQuaternion::from_matrix(&rotation);
-            all.push(Rigid3::new(rotation, translation));
+        if all.len() != count {
+            return Err(invalid_array(value, "poses", "numbers", &format!("({count}, 3, 4)")));
         }
         self.model.rigs.clear();
         self.model.frames.clear();
@@ -229,11 +217,42 @@ impl Reconstruction {
     fn observations<'py>(&self, python: Python<'py>) -> Bound<'py, PyArray2<u32>> {
         let mut all: Vec<[u32; 3]> = Vec::with_capacity(self.model.num_observations());
         for (point, (_, track)) in (0..).zip(self.model.tracks()) {
-            let row =
-                |o: &tiepoint_scene::Observation| [point, self.row_of(o.image) as u32, o.keypoint];
+            let row = |o: &Observation| [point, self.row_of(o.image) as u32, o.keypoint];
             all.extend(track.observations.iter().map(row));
         }
         matrix(python, &all)
+    }
+
+    /// Removes points, given by a mask of shape (P,) or by their indices. The arrays of points and
+    /// observations become shorter.
+    fn remove_points(&mut self, points: &Bound<'_, PyAny>) -> PyResult<()> {
+        for index in selection(points, "points", self.points.len())? {
+            self.model.delete_track(self.points[index]);
+        }
+        self.list();
+        Ok(())
+    }
+
+    /// Removes observations, given by a mask of shape (M,) or by their indices in `observations`.
+    /// Points with fewer than two remaining ones are removed.
+    fn remove_observations(&mut self, observations: &Bound<'_, PyAny>) -> PyResult<()> {
+        let all: Vec<Observation> =
+            self.model.tracks().flat_map(|(_, track)| track.observations.iter().copied()).collect();
+        for index in selection(observations, "observations", all.len())? {
+            self.model.remove_observation(all[index]);
+        }
+        self.list();
+        Ok(())
+    }
+
+    /// Removes images, given by a mask of shape (N,) or by their indices, with their observations.
+    /// Points with fewer than two remaining ones are removed.
+    fn remove_images(&mut self, images: &Bound<'_, PyAny>) -> PyResult<()> {
+        for index in selection(images, "images", self.images.len())? {
+            self.model.deregister(self.images[index]);
+        }
+        self.list();
+        Ok(())
     }
 
     /// The rigs of several cameras: a list of dictionaries with `cameras`, the indices of their
@@ -330,12 +349,10 @@ impl Reconstruction {
         let linear = matrix.fixed_view::<3, 3>(0, 0).into_owned();
         let scale = linear.determinant().cbrt();
         let rotation = linear / scale;
-        let off = (rotation.transpose() * rotation - Matrix3::identity()).amax();
         let translation: Vector3<f64> = matrix.fixed_view::<3, 1>(0, 3).into_owned();
         let is_last_row = (0..4).all(|at| matrix[(3, at)] == f64::from(u8::from(at == 3)));
-        if !(scale > 0.0 && off <= ROTATION_TOLERANCE && is_last_row)
-            || !translation.iter().all(|value| value.is_finite())
-        {
+        let is_finite = translation.iter().all(|value| value.is_finite());
+        if !(scale > 0.0 && is_rotation(&rotation) && is_last_row && is_finite) {
             return Err(invalid("new_from_old must be a similarity [sR t; 0 1] with s > 0"));
         }
         let rotation = UnitQuaternion::from_matrix(&rotation);
@@ -355,57 +372,4 @@ impl Reconstruction {
             self.model.num_observations()
         )
     }
-}
-
-/// Bundle adjustment of a model, in place. `refine` lists the intrinsics that are refined: focal,
-/// principal-point, distortion; none by "". Images of a frame stay rigidly connected. Returns a
-/// dictionary with `initial_cost`, `final_cost`, `iterations` and `converged`. Ctrl-C stops it at
-/// the next step and keeps what was reached.
-#[pyfunction]
-#[pyo3(signature = (reconstruction, *, refine="focal,distortion", max_iterations=100))]
-pub(crate) fn bundle_adjust<'py>(
-    python: Python<'py>,
-    reconstruction: &Bound<'py, Reconstruction>,
-    refine: &str,
-    max_iterations: usize,
-) -> PyResult<Bound<'py, PyDict>> {
-    refuse_after_fork()?;
-    let mut refined = RefineIntrinsics::NONE;
-    for word in refine.split(',').map(str::trim).filter(|word| !word.is_empty()) {
-        match word {
-            "focal" => refined.focal = true,
-            "principal-point" => refined.principal_point = true,
-            "distortion" => refined.distortion = true,
-            _ => {
-                return Err(invalid(format!(
-                    "refine has '{word}': it is a list of focal, principal-point and distortion"
-                )));
-            }
-        }
-    }
-    let options = AdjustOptions { refine: refined, max_iterations, ..AdjustOptions::default() };
-    let mut reconstruction = reconstruction.try_borrow_mut()?;
-    let model = &mut reconstruction.model;
-    let mut interrupted = None;
-    let summary = python.detach(|| {
-        adjust(model, &Scope::Global, &options, &mut [], &mut |_| match Python::attach(|python| {
-            python.check_signals()
-        }) {
-            Ok(()) => ControlFlow::Continue(()),
-            Err(error) => {
-                interrupted = Some(error);
-                ControlFlow::Break(())
-            }
-        })
-    });
-    if let Some(error) = interrupted {
-        return Err(error);
-    }
-    let summary = summary.map_err(failed)?;
-    let all = PyDict::new(python);
-    all.set_item("initial_cost", summary.initial_cost)?;
-    all.set_item("final_cost", summary.final_cost)?;
-    all.set_item("iterations", summary.iterations.len())?;
-    all.set_item("converged", summary.termination.converged())?;
-    Ok(all)
 }

@@ -58,6 +58,66 @@ def test_poses_of_exact_pixels_with_outliers():
     assert np.abs(errors[found["inliers"]]).max() < 1e-4 * np.abs(errors).max()
 
 
+def test_pose_of_a_rig():
+    points, pose, _ = scene()
+    cams_from_rig = np.array([np.eye(4)[:3], np.c_[rotation(np.array([0, 0.1, 0])), [-0.5, 0, 0]]])
+    indices = np.arange(len(points)) % 2
+    in_rig = points @ pose[:, :3].T + pose[:, 3]
+    in_cam = np.einsum("nij,nj->ni", cams_from_rig[indices, :, :3], in_rig)
+    pixels = CAMERA.project(in_cam + cams_from_rig[indices, :, 3])
+    pixels[::5] += 40
+    arguments = (pixels, points, indices, cams_from_rig, [CAMERA, CAMERA])
+    found = tiepoint.generalized_absolute_pose(*arguments, max_error=1.0)
+    assert np.abs(found["rig_from_world"] - pose).max() < 1e-6
+    assert (found["inliers"] == (np.arange(len(points)) % 5 != 0)).all()
+    with pytest.raises(tiepoint.UsageError, match="camera_indices must be of the 2 cameras"):
+        tiepoint.generalized_absolute_pose(*arguments[:2], indices + 1, *arguments[3:])
+
+
+def test_similarity_and_triangulation():
+    points, pose, (one, other) = scene()
+    turn = 1.7 * rotation(np.array([0.3, 0.2, -0.1]))
+    moved = points @ turn.T + [1, 2, 3]
+    moved[::3] += 1
+    found = tiepoint.similarity(points, moved, max_error=0.01)
+    assert np.abs(found["b_from_a"] - np.c_[turn, [1, 2, 3]]).max() < 1e-9
+    assert abs(found["scale"] - 1.7) < 1e-9 and found["num_inliers"] == len(points) * 2 // 3
+    poses = np.array([np.eye(4)[:3], pose, pose])
+    pixels = [one[5], other[5], other[5] + 30]
+    found = tiepoint.triangulate(pixels, poses, CAMERA, max_error=1.0)
+    assert np.abs(found["point"] - points[5]).max() < 1e-9
+    assert found["inliers"].tolist() == [True, True, False]
+    assert tiepoint.triangulate(pixels[:2], poses[:2], [CAMERA, CAMERA], min_angle=60) is None
+
+
+def test_rig_of_two_trajectories():
+    """A vehicle that turns left and right; the clock of its second camera is 0.13 s behind."""
+
+    def at(time):
+        turn = rotation(np.array([0, 0.6 * np.sin(0.9 * time) + 1e-9, 0]))
+        return np.c_[turn, -turn @ [np.sin(0.5 * time), 0, 3 * time]]
+
+    cam2_from_cam1 = np.c_[rotation(np.array([0, 0.1, 0])), [-0.5, 0.02, 0.0]]
+
+    def second(time):
+        pose = at(time)
+        turn = cam2_from_cam1[:, :3]
+        return np.c_[turn @ pose[:, :3], turn @ pose[:, 3] + cam2_from_cam1[:, 3]]
+
+    times1, times2 = 0.1 * np.arange(80), 0.1 * np.arange(75) + 0.04
+    poses1, poses2 = ([at(t) for t in times1], [second(t + 0.13) for t in times2])
+    found = tiepoint.clock_offset(times1, poses1, times2, poses2)
+    assert abs(found["offset"] - 0.13) < 1e-3 and found["sd"] > 0
+    found = tiepoint.average_relative_pose(poses1, [second(t) for t in times1])
+    assert np.abs(found["cam2_from_cam1"] - cam2_from_cam1).max() < 1e-9
+    assert found["rms_translation"] < 1e-9 and abs(found["second_over_first_half"] - 1) < 1e-9
+    assert tiepoint.average_relative_pose(poses1[:1], poses1[:1]) is None
+    with pytest.raises(tiepoint.UsageError, match="times1 must be finite and ascending"):
+        tiepoint.clock_offset(times1[::-1], poses1, times2, poses2)
+    with pytest.raises(tiepoint.UsageError, match="poses1 must be matrices"):
+        tiepoint.average_relative_pose(2 * np.array(poses1), poses1)
+
+
 def test_homography_of_a_plane():
     truth = np.array([[1.1, 0.02, 5.0], [-0.03, 0.95, -8.0], [1e-4, 2e-5, 1.0]])
     one = np.random.default_rng(2).uniform(0, 500, (60, 2))
@@ -222,6 +282,72 @@ def test_bundle_adjustment_lowers_the_cost(workspace):
     assert model.point_errors.mean() < before
     with pytest.raises(tiepoint.UsageError, match="everything"):
         tiepoint.bundle_adjust(model, refine="everything")
+
+
+def test_adjustment_keeps_what_is_fixed_and_follows_what_is_known(workspace):
+    model = tiepoint.Reconstruction.read(workspace)
+    rng = np.random.default_rng(5)
+    truth = model.centers.copy()
+    model.points = model.points + 0.02 * rng.standard_normal(model.points.shape)
+    before = model.poses
+    tiepoint.bundle_adjust(model, refine=["none"], fixed_poses=[0, 1, 2], loss="huber")
+    moved = np.abs(model.poses - before).max(axis=(1, 2))
+    assert (moved[:3] == 0).all() and moved[3:].min() > 0
+    # Centres that are scaled by 1 % pull the model with them.
+    wanted = 1.01 * truth
+    wanted[1] = np.nan
+    tiepoint.bundle_adjust(model, refine="none", centers=wanted, center_sigmas=1e-4)
+    errors = np.linalg.norm(model.centers - 1.01 * truth, axis=1)
+    # The image without a centre follows its keypoints.
+    assert np.delete(errors, 1).max() < 1e-3 and errors[1] < 1e-2
+    focal = model.cameras[0].params[0]
+    prior = (0, 1.02 * focal, 1e-3)
+    tiepoint.bundle_adjust(model, refine="focal", focal_priors=[prior], loss="cauchy")
+    assert abs(model.cameras[0].params[0] / focal - 1.02) < 1e-3
+    for keywords, message in (
+        ({"loss": "square"}, "trivial, huber, soft_l1, cauchy, tukey"),
+        ({"loss_scale": 0}, "loss scale"),
+        ({"fixed_poses": [len(truth)]}, "fixed_poses has"),
+        ({"fixed_poses": [-1]}, "fixed_poses has -1"),
+        ({"fixed_poses": np.zeros(2, bool)}, "fixed_poses must be an array of bool"),
+        ({"focal_priors": [(9, 500, 1)]}, "camera 9"),
+        ({"focal_priors": [(0, np.nan, 1)]}, "mean_px"),
+        ({"centers": truth}, "center_sigmas"),
+        ({"centers": truth[1:], "center_sigmas": 1}, "centers must be an array"),
+        ({"centers": truth, "center_sigmas": 0}, "greater than 0"),
+        ({"centers": truth, "center_sigmas": [1, 2]}, "center_sigmas must be an array"),
+        ({"refine": 3}, "refine must be"),
+    ):
+        with pytest.raises(tiepoint.UsageError, match=message):
+            tiepoint.bundle_adjust(model, **keywords)
+
+
+def test_models_are_edited(workspace, tmp_path):
+    model = tiepoint.Reconstruction.read(workspace)
+    points, observations, names = len(model.points), model.observations, model.image_names
+    assert isinstance(names, list) and len(names) > 4
+    removed = model.point_errors > np.quantile(model.point_errors, 0.9)
+    kept_ids = model.point_ids[~removed]
+    model.remove_points(removed)
+    assert (model.point_ids == kept_ids).all()
+    assert len(model.observations) == (~removed[observations[:, 0]]).sum()
+    # All but one observation of the first point: it cannot stay.
+    first = np.flatnonzero(model.observations[:, 0] == 0)
+    gone = model.point_ids[0]
+    model.remove_observations(first[1:])
+    assert gone not in model.point_ids and len(model.points) == len(kept_ids) - 1
+    model.remove_observations([])
+    model.remove_images(np.array([1, 3]))
+    assert model.image_names == [name for at, name in enumerate(names) if at not in (1, 3)]
+    assert model.poses.shape == (len(names) - 2, 3, 4) and len(model.points) < points
+    assert model.observations[:, 1].max() < len(names) - 2
+    model.write(tmp_path / "edited")
+    again = tiepoint.Reconstruction.read(tmp_path / "edited")
+    assert (again.point_ids == model.point_ids).all() and again.image_names == model.image_names
+    with pytest.raises(tiepoint.UsageError, match="points has"):
+        model.remove_points([len(model.points)])
+    with pytest.raises(tiepoint.UsageError, match="images must be an array of bool, or of"):
+        model.remove_images(names[0])
 
 
 def test_pycolmap_reads_it(workspace):

@@ -10,8 +10,8 @@ use tiepoint_pipeline::evaluation::{
 use tiepoint_pipeline::models::RigidReport;
 use tiepoint_pipeline::sfm::geometry::CameraModelKind;
 use tiepoint_pipeline::workspace::{
-    ConstraintKind, DenseReport, ModelReport, RigCamera, RigClockState, SplitReport, verdict,
-    why_unregistered,
+    ConstraintKind, DenseReport, ModelReport, PaperReport, RigCamera, RigClockState, SplitReport,
+    verdict, why_unregistered,
 };
 
 use crate::output::printable;
@@ -76,6 +76,24 @@ fn shell_word(path: &Path) -> String {
         true => text,
         false => format!("'{}'", text.replace('\'', "'\\''")),
     }
+}
+
+/// The paper's constraint in units of the model.
+fn paper_constraint(paper: &PaperReport, unit: &str) -> String {
+    let [first, second] = &paper.unit_images;
+    let relative = paper
+        .relative_sigma_translation
+        .map(|relative| format!(" ({:.1} % of the baseline)", 100.0 * relative))
+        .unwrap_or_default();
+    format!(
+        "one unit of \u{3bb} is the distance of {first} and {second} (now {:.3} {unit}); \u{3bb} = \
+        {} means a sigma of p_i of {:.3} {unit}{relative} and {:.2}°; {} pairs weighted as incorrect",
+        paper.unit_distance,
+        paper.lambda,
+        paper.sigma_translation,
+        paper.sigma_rotation_deg,
+        paper.bad_pairs.len(),
+    )
 }
 
 /// The stages and models.
@@ -185,18 +203,7 @@ fn stages(report: &Report) -> String {
                 }
             }
             if let Some(paper) = &rig.paper {
-                let [first, second] = &paper.unit_images;
-                line(format_args!(
-                    "          one unit of \u{3bb} is the distance of {first} and {second} (now \
-                    {:.3} {unit}); \u{3bb} = {} means a sigma of p_i of {:.3} {unit} ({:.1} % of \
-                    the baseline) and {:.2}°; {} pairs weighted as incorrect",
-                    paper.unit_distance,
-                    paper.lambda,
-                    paper.sigma_translation,
-                    100.0 * paper.relative_sigma_translation,
-                    paper.sigma_rotation_deg,
-                    paper.bad_pairs.len(),
-                ));
+                line(format_args!("          {}", paper_constraint(paper, unit)));
             }
         }
         let model = report.models.first().filter(|_| !map.unregistered.is_empty());

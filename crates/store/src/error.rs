@@ -71,6 +71,17 @@ pub enum Error {
         /// The folder.
         path: PathBuf,
     },
+    /// The results of a run are committed, and moving them into their places failed.
+    #[error(
+        "the results are complete, but not all of them could be moved into {path}: {cause}; give \
+        the same command again when the cause is gone"
+    )]
+    NotInPlace {
+        /// The folder.
+        path: PathBuf,
+        /// The error of the operating system.
+        cause: io::Error,
+    },
     /// A part of a name in an output folder is a symbolic link.
     #[error(
         "{path} is a symbolic link inside a folder that results are written to, and this program \

@@ -348,6 +348,16 @@ impl OutputFolder {
 
     /// Moves the files of a committed transaction into place, except those that were moved before.
     fn put_in_place(&self) -> Result<(), Error> {
+        self.move_committed().map_err(|error| match error {
+            // What failed is in one of the folders that only this program knows.
+            Error::Output { cause, .. } => {
+                Error::NotInPlace { path: self.root.path().to_owned(), cause }
+            }
+            other => other,
+        })
+    }
+
+    fn move_committed(&self) -> Result<(), Error> {
         let (committed, replaced) = (Path::new(COMMITTED), Path::new(REPLACED));
         let Manifest { order, removed, .. } = &self.manifest;
         for name in order {
@@ -566,6 +576,25 @@ mod tests {
         // Each file once, and the two replaced ones again after the commit, because they may have
         // changed.
         assert_eq!(count() - before, 5);
+    }
+
+    #[test]
+    fn committed_files_wait_until_their_place_is_free() {
+        let dir = tempfile::tempdir().unwrap();
+        let root = dir.path().join("out");
+        let mut folder = OutputFolder::open(&root).unwrap();
+        put(&mut folder, &[("sub/a", "1")], &[]).unwrap();
+        drop(folder);
+        // The state of a run that was killed after the commit; then a file took the folder's place.
+        fs::create_dir(root.join(COMMITTED)).unwrap();
+        fs::rename(root.join("sub"), root.join(COMMITTED).join("sub")).unwrap();
+        fs::write(root.join("sub"), "mine").unwrap();
+        let message = OutputFolder::open(&root).unwrap_err().to_string();
+        assert!(message.contains("the results are complete"), "{message}");
+        assert!(!message.contains(COMMITTED), "{message}");
+        fs::remove_file(root.join("sub")).unwrap();
+        drop(OutputFolder::open(&root).unwrap());
+        assert_eq!(fs::read(root.join("sub/a")).unwrap(), b"1");
     }
 
     #[test]

@@ -91,7 +91,7 @@ pub(crate) struct Measurements {
     pub(crate) horizontal_m: f64,
     /// Root mean square of the vertical component of this error.
     pub(crate) vertical_m: f64,
-    /// Mean distance of the two cameras over all frames.
+    /// Mean distance of the two cameras at the instants of the second one.
     pub(crate) baseline_m: Option<f64>,
     /// Largest distance of the two cameras.
     pub(crate) largest_baseline_m: Option<f64>,
@@ -339,9 +339,9 @@ impl Measurements {
             ate_m: poses.centre_error.rmse,
             horizontal_m: rms(&|off| off.xy().norm_squared()),
             vertical_m: rms(&|off| off.z.powi(2)),
-            baseline_m: baseline.as_ref().map(|baseline| baseline.baseline.mean),
-            largest_baseline_m: baseline.as_ref().map(|baseline| baseline.baseline.max),
-            baseline_spread_m: baseline.as_ref().map(|baseline| baseline.translation_rms),
+            baseline_m: baseline.map(|baseline| baseline.mean_m),
+            largest_baseline_m: baseline.map(|baseline| baseline.max_m),
+            baseline_spread_m: baseline.map(|baseline| baseline.deviation_m),
             extrinsics_m: extrinsics.map(length),
             seconds: seconds.iter().flatten().flatten().sum(),
             world_from_model: [scale, r.w, r.i, r.j, r.k, t.x, t.y, t.z],

@@ -37,7 +37,7 @@ pub(crate) fn of_constraints(runs: &[Run]) -> Vec<Table> {
         (ours(|measured| measured.largest_baseline_m), ours(|measured| measured.baseline_spread_m));
     let more: [Column; 6] = [
         (&extrinsics_heading, &extrinsics),
-        ("Baseline of frames, mean [m]", &mean),
+        ("Baseline in time, mean [m]", &mean),
         ("max", &largest),
         ("RMS deviation", &rms),
         ("Distance, change", &in_distance),

@@ -123,8 +123,8 @@ pub struct PaperReport {
     /// λ as a standard deviation of the translation between consecutive frames, in units of the
     /// model.
     pub sigma_translation: f64,
-    /// `sigma_translation` over the median baseline.
-    pub relative_sigma_translation: f64,
+    /// `sigma_translation` over the median baseline; `None` for cameras with one centre.
+    pub relative_sigma_translation: Option<f64>,
     /// λ as a standard deviation of the rotation between consecutive frames, in degrees.
     pub sigma_rotation_deg: f64,
     /// Image pairs that Eq. (4) classifies as incorrectly estimated in the final model: λ_i = 500,
@@ -330,7 +330,8 @@ fn paper_report(
         unit_distance: (centre_a - centre_b).norm(),
         lambda: paper::LAMBDA,
         sigma_translation,
-        relative_sigma_translation: sigma_translation / cameras.first()?.median_baseline,
+        relative_sigma_translation: Some(sigma_translation / cameras.first()?.median_baseline)
+            .filter(|relative| relative.is_finite()),
         sigma_rotation_deg: sigmas.rotation_rad.to_degrees(),
         bad_pairs,
     })

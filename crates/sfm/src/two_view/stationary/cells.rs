@@ -6,7 +6,9 @@ use tiepoint_geometry::nalgebra::Vector2;
 
 use super::spot::Spot;
 
-/// Cells of the larger side of an image, for neighbours and regions.
+/// Cells of the larger side of an image, for neighbours and regions. On the sets of
+/// `bench/overlays.py`, half finds the same overlays and loses up to 8 % more of the other matches;
+/// double loses up to 4 % fewer, and a twentieth more of the dirt stays.
 pub(super) const CELLS: f64 = 16.0;
 
 /// Groups of spots in adjacent cells, the largest first.
