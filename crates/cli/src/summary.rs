@@ -87,7 +87,8 @@ fn paper_constraint(paper: &PaperReport, unit: &str) -> String {
         .unwrap_or_default();
     format!(
         "one unit of \u{3bb} is the distance of {first} and {second} (now {:.3} {unit}); \u{3bb} = \
-        {} means a sigma of p_i of {:.3} {unit}{relative} and {:.2}°; {} pairs weighted as incorrect",
+        {} means a sigma of p_i of {:.3} {unit}{relative} and {:.2}°; {} pairs weighted as \
+        incorrect",
         paper.unit_distance,
         paper.lambda,
         paper.sigma_translation,
