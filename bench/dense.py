@@ -13,6 +13,9 @@ poses; the first two also with the true poses, whose tracks are triangulated aga
 scene.mvs of the same model, at the same size and with the same threads; without --openmvs it is
 left out, as it is for time and memory.
 
+With truth and true poses, also how many depths are off by over five footprints, among all and among
+those of a confidence of at least 0.8.
+
 With truth, a true surface is sampled at every second pixel of every second row that two images see.
 Accuracy is the share of the cloud within k footprints of it, completeness the share of it within k
 footprints of the cloud; a footprint is the size of a pixel at the surface, in the nearest image
@@ -44,6 +47,8 @@ LARGE, LARGE_SIDE = "fountain-P11 3 megapixels", 2121
 DRIVES = {f"drive of {count} images": count for count in (100, 200, 400)}
 DRIVE_SIZE = (240, 180)
 FOOTPRINTS = [1, 2, 5]
+# Confidence from which on at most 5 % of the depths are off by over five footprints.
+CONFIDENT = 0.8
 # Samples are two pixels apart, so that the nearest one is up to √2 pixels aside.
 SPACING = 2**0.5
 # Largest distance of a lidar point to a cloud that covers it, in metres: three cells of the
@@ -297,6 +302,38 @@ def street(folder, seed, count, size, rate_hz=4):
     return next(iter(truth.cameras.values())).params[0], views
 
 
+def map_of(path):
+    width, height, channels, numbers = path.read_bytes().split(b"&", 3)
+    values = np.frombuffer(numbers, "<f4").reshape(int(channels), int(height), int(width))
+    return values[0]
+
+
+def confidence_quality(stereo, views, focal):
+    """Shares of depths off by over five footprints, in percent: of all, and of those of at least
+    the stated confidence; the share of the right ones that these keep; and of ten classes of
+    confidence the size, the mean and the share of right depths."""
+    sure, right = [], []
+    for name, (_, _, truth) in views.items():
+        depths = map_of(stereo / f"depth_maps/{name}.geometric.bin")
+        known = (depths > 0) & (truth > 0)
+        sure.append(map_of(stereo / f"confidence_maps/{name}.geometric.bin")[known])
+        right.append(abs(depths - truth)[known] <= 5 * truth[known] / focal)
+    sure, right = np.concatenate(sure), np.concatenate(right)
+    kept = sure >= CONFIDENT
+    classes = []
+    for index in range(10):
+        inside = np.minimum((10 * sure).astype(int), 9) == index
+        if inside.any():
+            shares = inside.mean(), sure[inside].mean(), right[inside].mean()
+            classes.append([round(100 * float(share), 1) for share in shares])
+    return {
+        "depths_wrong": 100 * float((~right).mean()),
+        "confident_wrong": 100 * float((~right[kept]).mean()),
+        "right_kept": 100 * float(right[kept].sum() / right.sum()),
+        "confidence_classes": classes,
+    }
+
+
 def scene_case(name, scratch, options):
     count, size = SCENES[name]
     photos, workspace = scratch / "photos", scratch / "ws"
@@ -315,6 +352,8 @@ def scene_case(name, scratch, options):
             set_true_poses(workspace / "sparse/0", views, focal, middle)
         model = pycolmap.Reconstruction(workspace / "sparse/0")
         found, clouds = run_programs(workspace, scratch, options)
+        if poses == "true":
+            found["tiepoint"] |= confidence_quality(workspace / "dense/stereo", views, focal)
         for program, cloud in clouds.items():
             placed = aligned(cloud, model, true_poses) if poses == "ours" else cloud
             found[program] |= surface.quality(placed)

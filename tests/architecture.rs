@@ -228,12 +228,6 @@ const MOST_LINES: usize = 80;
 /// Functions that are longer, with the reason. The numbers may only fall.
 const LONG: &[(&str, usize, &str)] = &[
     ("crates/cli/src/progress.rs: draw", 101, "an arm for each event"),
-    (
-        "crates/cli/tests/program/dense.rs: \
-        dense_gives_a_workspace_of_colmap_and_resumes_with_the_same_bytes",
-        81,
-        "one run, which takes long, shows all of it",
-    ),
     ("crates/dense/src/undistort/rgb_row.rs: mix", 85, "one pass with all values in registers"),
     ("crates/features/src/descriptor.rs: histogram", 107, "one loop with all values in registers"),
     ("crates/geometry/src/testing/solver_laws.rs: solver_problem", 93, "an arm for each solver"),

@@ -60,7 +60,8 @@ pub(crate) enum Command {
     /// Stage 4: depth maps and a dense coloured cloud of the largest model.
     ///
     /// Writes a dense workspace of COLMAP in WORKSPACE/dense (images, sparse, stereo, fused.ply,
-    /// fused.ply.vis). Resumes an interrupted run image by image.
+    /// fused.ply.vis). Resumes an interrupted run image by image. Each depth has the probability
+    /// that it is right in stereo/confidence_maps, each point in its property `confidence`.
     Dense(Dense),
     /// Estimates the poses of photos in an existing model, which stays as it is.
     ///
@@ -272,7 +273,8 @@ pub(crate) struct Dense {
     pub(crate) normal_maps: bool,
     /// Also writes depth maps as 16-bit PNG, as trainers of splats read them.
     ///
-    /// They are in dense/depth_png; scale.json there has the depth of one unit.
+    /// They are in dense/depth_png; scale.json there has the depth of one unit. Confidences are in
+    /// dense/confidence_png, 255 for certain.
     #[arg(long)]
     pub(crate) depth_pngs: bool,
     /// Computes this stage again: dense.

@@ -113,4 +113,14 @@ impl Transfer {
             at_infinity[2] + e[2] * inverse_depth,
         ]
     }
+
+    /// Squared derivative of a transferred pixel, of this homogeneous place, by the inverse depth.
+    #[inline(always)]
+    pub(crate) fn squared_parallax(&self, [x, y, z]: &[f32; 3]) -> f32 {
+        let e = &self.epipole;
+        let inverse = 1.0 / z;
+        let (u, v) = (x * inverse, y * inverse);
+        let (du, dv) = ((e[0] - e[2] * u) * inverse, (e[1] - e[2] * v) * inverse);
+        du * du + dv * dv
+    }
 }

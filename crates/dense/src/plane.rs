@@ -39,7 +39,7 @@ impl Plane {
 /// The rays of a camera, for normals.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Rays {
-    focal: [f32; 2],
+    pub(crate) focal: [f32; 2],
     centre: [f32; 2],
 }
 

@@ -54,7 +54,7 @@ pub fn write(path: &Path, vertices: &[Vertex]) -> Result<()> {
     write_atomic(path, |file| {
         let count = vertices.len() as u64;
         let real = if is_far { "double" } else { "float" };
-        file.write_all(header(Some("tiepoint"), count, real, &["x", "y", "z"]).as_bytes())?;
+        file.write_all(header(Some("tiepoint"), count, real, &["x", "y", "z"], &[]).as_bytes())?;
         vertices.iter().try_for_each(|vertex| {
             vertex.xyz.iter().try_for_each(|value| match is_far {
                 true => file.write_all(&value.to_le_bytes()),
@@ -76,19 +76,28 @@ fn is_far_from_origin(vertices: &[Vertex]) -> bool {
     spacing > MIN_DETAIL * variance.sqrt()
 }
 
-/// The header of a binary little-endian file of vertices: `names` of the type `real`, then red,
-/// green and blue.
-pub(crate) fn header(comment: Option<&str>, count: u64, real: &str, names: &[&str]) -> String {
+/// The header of a binary little-endian file of vertices: `before` of the type `real`, then red,
+/// green and blue, then `after` in single precision.
+pub(crate) fn header(
+    comment: Option<&str>,
+    count: u64,
+    real: &str,
+    before: &[&str],
+    after: &[&str],
+) -> String {
     let mut header = "ply\nformat binary_little_endian 1.0\n".to_owned();
     if let Some(comment) = comment {
         header += &format!("comment {comment}\n");
     }
     header += &format!("element vertex {count}\n");
-    for name in names {
+    for name in before {
         header += &format!("property {real} {name}\n");
     }
     for name in ["red", "green", "blue"] {
         header += &format!("property uchar {name}\n");
+    }
+    for name in after {
+        header += &format!("property float {name}\n");
     }
     header + "end_header\n"
 }

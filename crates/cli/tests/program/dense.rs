@@ -79,11 +79,9 @@ fn dense_gives_a_workspace_of_colmap_and_resumes_with_the_same_bytes() {
     for (_, image) in model.images() {
         let camera = model.camera(image.camera);
         assert_eq!((camera.width.max(camera.height), model.num_images()), (200, COUNT));
-        let of_image = [
-            format!("images/{}", image.name),
-            format!("stereo/depth_maps/{}.geometric.bin", image.name),
-            format!("stereo/normal_maps/{}.geometric.bin", image.name),
-        ];
+        let map = |kind: &str| format!("stereo/{kind}_maps/{}.geometric.bin", image.name);
+        let photo = format!("images/{}", image.name);
+        let of_image = [photo, map("depth"), map("normal"), map("confidence")];
         let size = (camera.width, camera.height);
         assert_eq!(image::image_dimensions(dense.join(&of_image[0])).unwrap(), size);
         let depths = DenseMap::read(&dense.join(&of_image[1])).unwrap();
@@ -222,6 +220,20 @@ fn dense_names_what_is_missing() {
     assert!(results(&dir.join("ws")) == old, "failed runs have changed the dense workspace");
 }
 
+/// Depths alone have confidences, and these are the same in the map and in the picture.
+fn check_confidences(dense: &Path, image: &str, depths: &DenseMap) {
+    let map = dense.join(format!("stereo/confidence_maps/{image}.geometric.bin"));
+    let map = DenseMap::read(&map).unwrap();
+    assert_eq!((map.width, map.height, map.channels), (depths.width, depths.height, 1));
+    let png = image::open(dense.join(format!("confidence_png/{image}.png"))).unwrap();
+    let png = png.as_luma8().expect("8 bits").as_raw();
+    for (index, (depth, confidence)) in depths.values.iter().zip(map.values).enumerate() {
+        assert!((0.0..1.0).contains(&confidence), "pixel {index}: {confidence}");
+        assert_eq!(confidence > 0.0, *depth > 0.0, "pixel {index}");
+        assert_eq!(png[index], (255.0 * confidence).round() as u8, "pixel {index}");
+    }
+}
+
 /// Masks, 16-bit depth maps, the page, and the stage as a part of `reconstruct`.
 #[test]
 fn dense_uses_masks_and_writes_what_it_is_asked_for() {
@@ -262,6 +274,7 @@ fn dense_uses_masks_and_writes_what_it_is_asked_for() {
         let from_png = f64::from(png[index]) * scale;
         assert!((from_png - f64::from(*depth)).abs() <= 0.51 * scale, "pixel {index}");
     }
+    check_confidences(&dir.join("ws/dense"), name, &depths);
     let share = removed as f64 / mask.as_raw().len() as f64;
     assert!(share > 0.5 * MIN_SHARE, "{share}");
     // Without a mask, nothing is masked.

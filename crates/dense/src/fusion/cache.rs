@@ -72,7 +72,7 @@ impl Cache {
     /// Marks a pixel of an image in memory.
     pub(super) fn mark(&mut self, index: usize, pixel: usize) {
         if let Some((_, image)) = self.images.get_mut(&index) {
-            let words = image.depths.depths.len().div_ceil(64);
+            let words = image.depths.len().div_ceil(64);
             image.marks.resize(words, 0);
             mark(&mut image.marks, pixel);
             mark(self.marks.entry(index).or_insert_with(|| vec![0; words]), pixel);

@@ -10,6 +10,8 @@ use crate::stereo::{DepthMap, normals_of};
 
 /// Scale of a component of a normal in memory.
 const NORMAL_SCALE: f32 = 32_767.0;
+/// A confidence of 1 in memory. No depth has it, nor 0: its odds are finite.
+const CERTAIN: u8 = u8::MAX;
 
 /// Smallest cosine of the angle between a normal and a ray, for pixels without a normal.
 const MIN_COSINE: f64 = 0.1;
@@ -17,9 +19,12 @@ const MIN_COSINE: f64 = 0.1;
 /// An image for [`fuse`](super::fuse).
 #[derive(Clone, Debug)]
 pub struct FusionImage {
-    camera: PosedPinhole,
+    pub(super) camera: PosedPinhole,
     world_from_cam: Rigid3,
-    pub(super) depths: DepthMap,
+    /// By pixel; 0 where there is none.
+    pub(super) depths: Vec<f32>,
+    /// Of each depth, in units of 1/[`CERTAIN`].
+    confidences: Vec<u8>,
     /// Normals in the camera frame.
     normals: Vec<[i16; 3]>,
     /// Red, green, blue by pixel.
@@ -38,6 +43,8 @@ pub(super) struct Surface {
     /// Unit normal in the world frame.
     pub(super) normal: Vector3<f64>,
     pub(super) color: [u8; 3],
+    /// That the depth is right.
+    pub(super) odds: f32,
 }
 
 /// What another image sees at a surface.
@@ -53,21 +60,27 @@ impl FusionImage {
     /// `colors`: red, green and blue of each pixel. Normals are those of the depth map.
     ///
     /// # Errors
-    /// [`Error::Size`] if the depth map or the colours do not have the size of the camera.
+    /// [`Error::Size`] if the depth map, its confidences or the colours do not have the size of the
+    /// camera.
     pub fn new(camera: PosedPinhole, depths: DepthMap, colors: Vec<u8>) -> Result<Self, Error> {
         let count = camera.width * camera.height;
         let has_size = (depths.width, depths.height) == (camera.width, camera.height);
-        if !has_size || depths.depths.len() != count || colors.len() != 3 * count {
+        let lengths = [depths.depths.len(), depths.confidences.len(), colors.len() / 3];
+        if !has_size || lengths != [count; 3] || colors.len() % 3 != 0 {
             let (width, height) = (camera.width as u32, camera.height as u32);
             return Err(Error::Size { width, height, found: colors.len() });
         }
         let normals = normals_of(&depths, &camera);
         let normals =
             normals.iter().map(|normal| normal.map(|value| (NORMAL_SCALE * value) as i16));
+        let confidence = |value: &f32| {
+            (f32::from(CERTAIN) * value).round().clamp(1.0, f32::from(CERTAIN - 1)) as u8
+        };
         Ok(Self {
             camera,
             world_from_cam: camera.cam_from_world.inverse(),
-            depths,
+            confidences: depths.confidences.iter().map(confidence).collect(),
+            depths: depths.depths,
             normals: normals.collect(),
             colors,
             marks: Vec::new(),
@@ -76,8 +89,8 @@ impl FusionImage {
 
     /// The surface at a pixel; `None` without a depth.
     pub(super) fn surface(&self, x: usize, y: usize) -> Option<Surface> {
-        let index = y * self.depths.width + x;
-        let depth = f64::from(self.depths.depths[index]);
+        let index = y * self.camera.width + x;
+        let depth = f64::from(self.depths[index]);
         (depth > 0.0).then(|| {
             let normal =
                 self.normals[index].map(|value| f64::from(value) / f64::from(NORMAL_SCALE));
@@ -89,6 +102,8 @@ impl FusionImage {
                 depth,
                 normal: self.world_from_cam.rotation * normal,
                 color: std::array::from_fn(|channel| self.colors[3 * index + channel]),
+                odds: f32::from(self.confidences[index])
+                    / f32::from(CERTAIN - self.confidences[index]),
             }
         })
     }
@@ -104,7 +119,7 @@ impl FusionImage {
         let in_camera = self.camera.cam_from_world * *point;
         let place = self.camera.project(&in_camera)?;
         let (x, y) = ((place.x + 0.5).floor(), (place.y + 0.5).floor());
-        let (width, height) = (self.depths.width as f64, self.depths.height as f64);
+        let (width, height) = (self.camera.width as f64, self.camera.height as f64);
         let is_inside = x >= 0.0 && y >= 0.0 && x < width && y < height;
         is_inside.then_some((in_camera, [x as usize, y as usize]))
     }

@@ -84,6 +84,23 @@ impl Geometric {
     }
 }
 
+/// Distance to the planes of a source at which its support is half, in pixels of the half level.
+/// With half or twice of it, confidences predict the right depths worse
+/// (`docs/benchmarks/dense.md`).
+const SUPPORT_PX: f32 = 0.125;
+
+/// What the source images say of a depth.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Support {
+    /// Number of sources whose planes agree.
+    pub(super) count: usize,
+    /// Sum over the sources of weights from 1 (the planes agree exactly) to 0.
+    pub(super) sources: f32,
+    /// Root of the weighted sum of the squared angles between the rays, in rad where they are
+    /// small: pixels of parallax a footprint of depth.
+    pub(super) angle: f32,
+}
+
 /// All that the cost of a plane depends on, on one level.
 pub(super) struct Costs {
     pub(super) sources: Vec<LevelSource>,
@@ -103,21 +120,21 @@ pub(super) struct PixelCosts<'a> {
 }
 
 impl Costs {
-    /// Number of source images whose planes agree with a plane at a pixel to `max_error_px`.
-    pub(super) fn consistent_sources(
-        &self,
-        x: f32,
-        y: f32,
-        inverse_depth: f32,
-        max_error_px: f32,
-    ) -> usize {
-        let agrees = |source: &&LevelSource| {
+    /// The support of an inverse depth at a pixel; sources count that agree to `max_error_px`.
+    pub(super) fn support(&self, x: f32, y: f32, inverse_depth: f32, max_error_px: f32) -> Support {
+        let mut support = Support::default();
+        for source in &self.sources {
             let to = &source.to_source;
             let place = to.at(&to.at_infinity(x, y), inverse_depth);
             let error = source.geometric.as_ref().and_then(|term| term.error_px(x, y, &place));
-            place[2] > 0.0 && error.is_some_and(|error| error <= max_error_px)
-        };
-        self.sources.iter().filter(agrees).count()
+            let Some(error) = error.filter(|_| place[2] > 0.0) else { continue };
+            let weight = 1.0 / (1.0 + (error / SUPPORT_PX) * (error / SUPPORT_PX));
+            support.count += usize::from(error <= max_error_px);
+            support.sources += weight;
+            support.angle += weight * to.squared_parallax(&place) * inverse_depth * inverse_depth;
+        }
+        support.angle = support.angle.sqrt() / self.rays.focal[0];
+        support
     }
 
     /// `sources` has from one to [`MAX_SOURCES`] images.
@@ -223,13 +240,9 @@ impl PixelCosts<'_> {
     pub(super) fn inverse_depth_per_pixel(&self, inverse_depth: f32) -> Option<f32> {
         let mut parallax = 0.0f32;
         for (at_infinity, source) in self.at_infinity.iter().zip(&self.costs.sources) {
-            let [x, y, z] = source.to_source.at(at_infinity, inverse_depth);
-            let e = &source.to_source.epipole;
-            let inverse = 1.0 / z;
-            let (u, v) = (x * inverse, y * inverse);
-            let (du, dv) = ((e[0] - e[2] * u) * inverse, (e[1] - e[2] * v) * inverse);
-            let squared = du * du + dv * dv;
-            if z > 0.0 && squared.is_finite() {
+            let place = source.to_source.at(at_infinity, inverse_depth);
+            let squared = source.to_source.squared_parallax(&place);
+            if place[2] > 0.0 && squared.is_finite() {
                 parallax = parallax.max(squared);
             }
         }

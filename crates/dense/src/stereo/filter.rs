@@ -2,6 +2,7 @@
 
 use rayon::prelude::*;
 
+use super::confidence::confidence;
 use super::cost::{Costs, MAX_SELECTED_COST};
 use super::maps::{DepthMap, PlaneMap};
 
@@ -22,20 +23,22 @@ const MIN_SOURCES: usize = 1;
 pub(super) fn filter(planes: &PlaneMap, costs: &Costs) -> DepthMap {
     let PlaneMap { width, height, planes: all } = planes;
     let required = MIN_SOURCES.min(costs.sources.len());
-    let mut depths = vec![0.0; all.len()];
-    depths.par_chunks_mut((*width).max(1)).enumerate().for_each(|(y, depths)| {
-        for (x, depth) in depths.iter_mut().enumerate() {
+    let mut map = DepthMap::empty(*width, *height);
+    let rows = map.depths.par_chunks_mut((*width).max(1));
+    let rows = rows.zip(map.confidences.par_chunks_mut((*width).max(1)));
+    rows.enumerate().for_each(|(y, (depths, confidences))| {
+        for (x, (depth, sure)) in depths.iter_mut().zip(confidences).enumerate() {
             let [inverse_depth, _, _, cost] = all[y * width + x];
             if cost > MAX_COST || !costs.range.contains(inverse_depth) {
                 continue;
             }
             let half = |index: usize| 0.5 * (index as f32 + 0.5) - 0.5;
-            let consistent =
-                costs.consistent_sources(half(x), half(y), inverse_depth, MAX_ERROR_PX);
-            if consistent >= required {
+            let support = costs.support(half(x), half(y), inverse_depth, MAX_ERROR_PX);
+            if support.count >= required {
                 *depth = 1.0 / inverse_depth;
+                *sure = confidence(cost, &support);
             }
         }
     });
-    DepthMap { width: *width, height: *height, depths }
+    map
 }

@@ -11,6 +11,17 @@ pub struct DepthMap {
     pub height: usize,
     /// `width * height` depths (z in the camera frame), in the unit of the model.
     pub depths: Vec<f32>,
+    /// `width * height` probabilities that the depth is within five footprints (depths over the
+    /// focal length) of the surface; 0 where there is no depth.
+    pub confidences: Vec<f32>,
+}
+
+impl DepthMap {
+    /// Without depths.
+    pub fn empty(width: usize, height: usize) -> Self {
+        let none = vec![0.0; width * height];
+        Self { width, height, depths: none.clone(), confidences: none }
+    }
 }
 
 /// A plane for each pixel of an image, by rows.
@@ -25,15 +36,6 @@ pub struct PlaneMap {
 }
 
 impl PlaneMap {
-    /// The depths of the pixels whose cost is at most `max_cost`.
-    pub fn depth_map(&self, max_cost: f32) -> DepthMap {
-        let depth = |plane: &[f32; 4]| {
-            if plane[3] <= max_cost && plane[0] > 0.0 { 1.0 / plane[0] } else { 0.0 }
-        };
-        let depths = self.planes.iter().map(depth).collect();
-        DepthMap { width: self.width, height: self.height, depths }
-    }
-
     /// The inverse depth at a pixel index that need not be whole, on the plane of the pixel that
     /// holds it; `None` outside of the image and where there is no plane.
     #[inline(always)]

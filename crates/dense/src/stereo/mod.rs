@@ -7,6 +7,7 @@
 //! resolution.
 
 mod coarse;
+mod confidence;
 mod cost;
 mod field;
 mod filter;

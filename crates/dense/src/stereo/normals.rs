@@ -17,7 +17,7 @@ const MAX_STEP: f32 = 0.05;
 /// there is no depth.
 pub fn normals_of(depths: &DepthMap, camera: &PosedPinhole) -> Vec<[f32; 3]> {
     let rays = Rays::new(camera);
-    let DepthMap { width, height, depths } = depths;
+    let DepthMap { width, height, depths, .. } = depths;
     let mut normals = vec![[0.0; 3]; depths.len()];
     normals.par_chunks_mut((*width).max(1)).enumerate().for_each(|(y, normals)| {
         for (x, normal) in normals.iter_mut().enumerate() {

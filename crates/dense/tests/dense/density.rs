@@ -19,7 +19,9 @@ fn image(x: f64, distance: f64) -> FusionImage {
         centre: SIZE.map(|size| 0.5 * size as f64),
         cam_from_world: Rigid3::new(Rigid3::identity().rotation, Vector3::new(-x, 0.0, distance)),
     };
-    let depths = DepthMap { width, height, depths: vec![distance as f32; width * height] };
+    let count = width * height;
+    let (depths, confidences) = (vec![distance as f32; count], vec![0.5; count]);
+    let depths = DepthMap { width, height, depths, confidences };
     FusionImage::new(camera, depths, vec![128; 3 * width * height]).unwrap()
 }
 

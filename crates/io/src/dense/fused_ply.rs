@@ -1,4 +1,5 @@
-//! `fused.ply` of COLMAP: points with normals and colours, binary little-endian.
+//! `fused.ply` of COLMAP: points with normals and colours, binary little-endian. The property
+//! `confidence`, which COLMAP's has not, comes last.
 
 use std::path::Path;
 
@@ -20,18 +21,26 @@ impl FusedPly {
         CountedFile::create(path).map(Self)
     }
 
-    /// Writes a point: position, unit normal, and red, green and blue.
+    /// Writes a point: position, unit normal, red, green and blue, and the probability that it is
+    /// right.
     ///
     /// # Errors
     ///
     /// If the file cannot be written.
-    pub fn push(&mut self, xyz: [f32; 3], normal: [f32; 3], color: [u8; 3]) -> Result<()> {
-        let mut record = [0; 27];
+    pub fn push(
+        &mut self,
+        xyz: [f32; 3],
+        normal: [f32; 3],
+        color: [u8; 3],
+        confidence: f32,
+    ) -> Result<()> {
+        let mut record = [0; 31];
         let numbers = xyz.into_iter().chain(normal).map(f32::to_le_bytes);
         for (bytes, number) in record.as_chunks_mut::<4>().0.iter_mut().zip(numbers) {
             *bytes = number;
         }
-        record[24..].copy_from_slice(&color);
+        record[24..27].copy_from_slice(&color);
+        record[27..].copy_from_slice(&confidence.to_le_bytes());
         self.0.push(&record)
     }
 
@@ -42,7 +51,8 @@ impl FusedPly {
     /// If the file cannot be written.
     pub fn finish(self) -> Result<u64> {
         let count = self.0.count;
-        let header = header(None, count, "float", &["x", "y", "z", "nx", "ny", "nz"]);
+        let header =
+            header(None, count, "float", &["x", "y", "z", "nx", "ny", "nz"], &["confidence"]);
         self.0.finish(header.as_bytes())?;
         Ok(count)
     }

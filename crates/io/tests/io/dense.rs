@@ -53,7 +53,7 @@ fn fused_points_have_normals_colours_and_images() {
     let mut images = FusedVisibility::create(&vis).unwrap();
     for index in 0..3u8 {
         let x = f32::from(index);
-        points.push([x, 2.5, -1.0], [0.0, 0.6, 0.8], [index, 20, 30]).unwrap();
+        points.push([x, 2.5, -1.0], [0.0, 0.6, 0.8], [index, 20, 30], 0.25 * x).unwrap();
         images.push(&[u32::from(index), 7][..usize::from(index).min(2)]).unwrap();
     }
     assert_eq!(points.finish().unwrap(), 3);
@@ -63,8 +63,10 @@ fn fused_points_have_normals_colours_and_images() {
     assert_eq!(read[2].xyz.as_slice(), [2.0, 2.5, -1.0]);
     assert_eq!(read[2].color, [2, 20, 30]);
     let text = fs::read(&path).unwrap();
-    let header = String::from_utf8_lossy(&text[..text.len() - 3 * 27]).into_owned();
+    let header = String::from_utf8_lossy(&text[..text.len() - 3 * 31]).into_owned();
     assert!(header.contains("element vertex 3\n") && header.contains("float nz\n"), "{header}");
+    assert!(header.ends_with("property float confidence\nend_header\n"), "{header}");
+    assert_eq!(text[text.len() - 4..], 0.5f32.to_le_bytes());
     let mut expected = 3u64.to_le_bytes().to_vec();
     for number in [0u32, 1, 1, 2, 2, 7] {
         expected.extend(number.to_le_bytes());

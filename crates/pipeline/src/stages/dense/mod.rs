@@ -177,6 +177,16 @@ fn depth_png_file(image: &str) -> String {
     format!("dense/depth_png/{image}.png")
 }
 
+/// The probabilities that the depths are right.
+fn confidence_file(image: &str) -> String {
+    format!("dense/stereo/confidence_maps/{image}{GEOMETRIC}")
+}
+
+/// The confidences as an image of 8 bits a pixel, 255 for 1.
+fn confidence_png_file(image: &str) -> String {
+    format!("dense/confidence_png/{image}.png")
+}
+
 fn normal_file(image: &str) -> String {
     format!("dense/stereo/normal_maps/{image}{GEOMETRIC}")
 }
@@ -190,9 +200,9 @@ fn remove_old_results(workspace: &mut Workspace, model: &Reconstruction) -> Resu
     let of_image = |image: &Image| {
         let name = &image.name;
         let images = [image_file(name), mask_file(name)];
-        let maps =
-            [planes_file(name), depth_map_path(name), normal_file(name), depth_png_file(name)];
-        images.into_iter().chain(maps)
+        let maps = [planes_file(name), depth_map_path(name), confidence_file(name)];
+        let exports = [normal_file(name), depth_png_file(name), confidence_png_file(name)];
+        images.into_iter().chain(maps).chain(exports)
     };
     let mut names: Vec<String> = model.images().flat_map(|(_, image)| of_image(image)).collect();
     names.extend(model_names(Some(SPARSE)));
@@ -252,12 +262,22 @@ impl<'a> Run<'a> {
         Ok(!has_lost_mask && !self.is_missing(&image)?)
     }
 
-    /// Whether the depth map of an image exists, with its normal map and PNG if they are asked for.
-    fn has_depths(&self, index: usize) -> Result<bool, Error> {
+    /// The files of the depths of an image, that of the depth map last.
+    fn depth_files(&self, index: usize) -> Vec<String> {
         let name = self.name(index);
         let normals = self.options.write_normal_maps.then(|| normal_file(name));
-        let png = self.options.write_depth_pngs.then(|| depth_png_file(name));
-        for file in [Some(depth_map_path(name)), normals, png].into_iter().flatten() {
+        let pngs = [depth_png_file(name), confidence_png_file(name)];
+        let pngs = self.options.write_depth_pngs.then_some(pngs).into_iter().flatten();
+        normals
+            .into_iter()
+            .chain(pngs)
+            .chain([confidence_file(name), depth_map_path(name)])
+            .collect()
+    }
+
+    /// Whether the depth map of an image exists, with all that is asked for.
+    fn has_depths(&self, index: usize) -> Result<bool, Error> {
+        for file in self.depth_files(index) {
             if self.is_missing(&file)? {
                 return Ok(false);
             }
@@ -424,28 +444,39 @@ impl<'a> Run<'a> {
             false => estimate_fine(&reference, sources, seeds, &coarse, index as u64),
         };
         let (width, height) = (reference.grey.width, reference.grey.height);
-        let none = || DepthMap { width, height, depths: vec![0.0; width * height] };
+        let none = || DepthMap::empty(width, height);
         let mut depths = estimate.map_or_else(none, |FineEstimate { depths, .. }| depths);
         self.apply_mask(index, &mut depths)?;
-        let mut names = vec![depth_map_path(self.name(index))];
+        self.write_depths(index, &reference.camera, depths)
+    }
+
+    fn write_depths(
+        &mut self,
+        index: usize,
+        camera: &PosedPinhole,
+        depths: DepthMap,
+    ) -> Result<(), Error> {
+        let (folder, name) = (&self.workspace.folder, self.name(index));
         if self.options.write_normal_maps {
-            let normals = normals_of(&depths, &reference.camera);
+            let normals = normals_of(&depths, camera);
             let channel = |channel: usize| normals.iter().map(move |normal| normal[channel]);
             let values = (0..3).flat_map(channel).collect();
-            let name = normal_file(self.name(index));
-            let file = DenseMap { width, height, channels: 3, values };
-            file.write(&self.workspace.folder.stage(&name)?)?;
-            names.insert(0, name);
+            let file = DenseMap { width: depths.width, height: depths.height, channels: 3, values };
+            file.write(&folder.stage(&normal_file(name))?)?;
         }
+        let DepthMap { width, height, depths, confidences } = depths;
         if self.options.write_depth_pngs {
-            let name = depth_png_file(self.name(index));
-            let target = self.workspace.folder.stage(&name)?;
-            self.depth_scale.write(&target, width as u32, height as u32, &depths.depths)?;
-            names.insert(0, name);
+            let (wide, high) = (width as u32, height as u32);
+            self.depth_scale.write(&folder.stage(&depth_png_file(name))?, wide, high, &depths)?;
+            let data = confidences.iter().map(|value| (255.0 * value).round() as u8).collect();
+            let png = Luma { width: wide, height: high, data };
+            png.write(&folder.stage(&confidence_png_file(name))?)?;
         }
-        let file = DenseMap { width, height, channels: 1, values: depths.depths };
-        let name = names.last().expect("the depth map is the last of the names");
-        file.write(&self.workspace.folder.stage(name)?)?;
+        for (file, values) in [(confidence_file(name), confidences), (depth_map_path(name), depths)]
+        {
+            DenseMap { width, height, channels: 1, values }.write(&folder.stage(&file)?)?;
+        }
+        let names = self.depth_files(index);
         self.publish(&names)
     }
 
@@ -462,10 +493,9 @@ impl<'a> Run<'a> {
             let cause = tiepoint_dense::Error::Size { width, height, found: mask.data.len() };
             return Err(Error::Dense { path, cause });
         }
-        for (depth, is_used) in depths.depths.iter_mut().zip(mask.data) {
-            if is_used == 0 {
-                *depth = 0.0;
-            }
+        let values = depths.depths.iter_mut().zip(&mut depths.confidences);
+        for ((depth, confidence), _) in values.zip(mask.data).filter(|(_, used)| *used == 0) {
+            (*depth, *confidence) = (0.0, 0.0);
         }
         Ok(())
     }
@@ -489,7 +519,7 @@ impl<'a> Run<'a> {
         }
         let load = |index: usize| self.fusion_image(index);
         let take = |point: tiepoint_dense::fusion::FusedPoint| -> Result<(), Error> {
-            ply.push(point.xyz, point.normal, point.color)?;
+            ply.push(point.xyz, point.normal, point.color, point.confidence)?;
             Ok(visibility.push(&point.views)?)
         };
         fuse(&self.fusion_neighbours(), &FusionOptions::default(), load, take)?;
@@ -505,7 +535,8 @@ impl<'a> Run<'a> {
         let DenseMap { width, height, values, .. } = DenseMap::read(&path)?;
         let photo = self.path(&image_file(self.name(index)));
         let rgb = Rgb::read_of_size(&photo, camera.width as u32, camera.height as u32)?;
-        let depths = DepthMap { width, height, depths: values };
+        let confidences = DenseMap::read(&self.path(&confidence_file(self.name(index))))?.values;
+        let depths = DepthMap { width, height, depths: values, confidences };
         FusionImage::new(camera, depths, rgb.data).map_err(|cause| Error::Dense { path, cause })
     }
 
