@@ -153,6 +153,18 @@ impl Georeference {
             _ => None,
         }
     }
+
+    /// The place of local coordinates, whose height counts with `has_height`.
+    pub fn to_place(&self, local: &Vector3<f64>, has_height: bool) -> Place {
+        match self {
+            Self::Enu { frame, .. } => {
+                let Geodetic { latitude_deg, longitude_deg, height_m } = frame.to_geodetic(local);
+                let altitude_m = has_height.then_some(height_m);
+                Place::Geodetic { latitude_deg, longitude_deg, altitude_m }
+            }
+            Self::Cartesian { offset } => Place::Cartesian(local + offset),
+        }
+    }
 }
 
 #[cfg(test)]

@@ -4,6 +4,9 @@ use std::fs;
 use std::path::Path;
 use std::process::Command;
 
+use tiepoint_pipeline::io::database::Database;
+use tiepoint_pipeline::sfm::scene::Place;
+
 use crate::skipped::skipped;
 use crate::{Run, photos, tiepoint_in};
 
@@ -78,6 +81,98 @@ fn a_video_is_a_camera_whose_frames_have_times() {
         tiepoint_in(dir.path(), "features {}/front.mov -o {}/ws --every 2 --redo features --json")
             .done();
     assert_eq!(again.json()["stages"]["features"]["images"], 3);
+}
+
+/// Adds a telemetry track as GoPros write it to a video: each tenth of a second a position, further
+/// to the north by a ten-thousandth of a degree; that at 0.3 s has no fix.
+fn add_telemetry(path: &Path) {
+    let numbers =
+        |list: &[u32]| -> Vec<u8> { list.iter().flat_map(|number| number.to_be_bytes()).collect() };
+    let mp4_box = |name: &[u8], content: &[&[u8]]| {
+        let content = content.concat();
+        [&numbers(&[8 + content.len() as u32])[..], name, &content].concat()
+    };
+    let record = |name: &[u8], kind: u8, len: u8, content: &[u8]| {
+        let count = (content.len() / usize::from(len)) as u16;
+        let mut bytes = [name, &[kind, len], &count.to_be_bytes(), content].concat();
+        bytes.resize(bytes.len().next_multiple_of(4), 0);
+        bytes
+    };
+    let position = |index: u32| {
+        let fix = if index == 3 { 0 } else { 3 };
+        numbers(&[480_000_000 + 1000 * index, 110_000_000, 519_000, 0, 0, 9000, 0, 150 << 16 | fix])
+    };
+    let scales = numbers(&[10_000_000, 10_000_000, 1000, 1000, 100, 1, 1000, 100, 1]);
+    let stream = [
+        record(b"TYPE", b'c', 1, b"lllllllSS"),
+        record(b"SCAL", b'l', 4, &scales),
+        record(b"GPS9", b'?', 32, &(0..10).flat_map(position).collect::<Vec<u8>>()),
+    ];
+    let payload = record(b"DEVC", 0, 1, &record(b"STRM", 0, 1, &stream.concat()));
+
+    let mut bytes = fs::read(path).unwrap();
+    let mut at = 0;
+    let size_at = |bytes: &[u8], at: usize| {
+        u32::from_be_bytes(bytes[at..at + 4].try_into().unwrap()) as usize
+    };
+    while &bytes[at + 4..at + 8] != b"moov" {
+        at += size_at(&bytes, at);
+    }
+    let moov = bytes.split_off(at);
+    assert_eq!(moov.len(), size_at(&moov, 0), "the last box");
+    let offset = at as u32 + 8;
+    bytes.extend(mp4_box(b"mdat", &[&payload]));
+    let tables = [
+        mp4_box(b"stsd", &[&numbers(&[0, 1, 16]), b"gpmd", &numbers(&[0, 1])]),
+        mp4_box(b"stts", &[&numbers(&[0, 1, 1, 1000])]),
+        mp4_box(b"stsc", &[&numbers(&[0, 1, 1, 1, 1])]),
+        mp4_box(b"stsz", &[&numbers(&[0, 0, 1, payload.len() as u32])]),
+        mp4_box(b"stco", &[&numbers(&[0, 1, offset])]),
+    ];
+    let media = [
+        mp4_box(b"mdhd", &[&numbers(&[0, 0, 0, 1000, 1000, 0])]),
+        mp4_box(b"hdlr", &[&numbers(&[0, 0]), b"meta", &[0; 13]]),
+        mp4_box(b"minf", &[&mp4_box(b"stbl", &[&tables.concat()])]),
+    ];
+    let header = mp4_box(b"tkhd", &[&numbers(&[1, 0, 0, 9, 0, 1000]), &[0; 60]]);
+    let track = mp4_box(b"trak", &[&header, &mp4_box(b"mdia", &[&media.concat()])]);
+    bytes.extend(mp4_box(b"moov", &[&moov[8..], &track]));
+    fs::write(path, bytes).unwrap();
+}
+
+#[test]
+fn frames_have_the_positions_that_the_camera_recorded() {
+    if !has_ffmpeg() {
+        return;
+    }
+    let dir = tempfile::tempdir().unwrap();
+    film(dir.path(), "front.mov", 5);
+    add_telemetry(&dir.path().join("front.mov"));
+    let run = |line: &str| tiepoint_in(dir.path(), line).done().stdout();
+    let check = |workspace: &str| {
+        let path = dir.path().join(workspace).join("database.db");
+        let found = Database::open_read_only(&path).unwrap().read_pose_priors().unwrap();
+        let indices: Vec<usize> = found.iter().map(|(image, _)| image.index()).collect();
+        assert_eq!(indices, [0, 1, 2, 3, 4]);
+        for (image, position) in found {
+            let Place::Geodetic { latitude_deg, longitude_deg, altitude_m } = position.place else {
+                panic!("{position:?}");
+            };
+            // That at 0.3 s is between its neighbours. The chord is below the arc by 4e-5 m.
+            let expected = 48.0 + 1e-4 * image.index() as f64;
+            assert!((latitude_deg - expected).abs() < 1e-9, "{latitude_deg} {expected}");
+            assert!((longitude_deg - 11.0).abs() < 1e-9, "{longitude_deg}");
+            assert!((altitude_m.unwrap() - 519.0).abs() < 1e-3, "{altitude_m:?}");
+        }
+    };
+    let text = run("features {}/front.mov -o {}/ws --every 1");
+    assert!(text.contains("5 of 5 photos have a position in their videos"), "{text}");
+    check("ws");
+    // Frames that are kept keep their positions.
+    run("features {}/front.mov -o {}/ws --every 1 --redo features");
+    check("ws");
+    let off = run("reconstruct {}/front.mov -o {}/off --every 1 --position-priors off");
+    assert!(!off.contains("position in"), "{off}");
 }
 
 #[test]

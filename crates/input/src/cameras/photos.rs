@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use tiepoint_geometry::CameraModelKind;
-use tiepoint_scene::Camera;
+use tiepoint_scene::{Camera, Position};
 use tiepoint_store::escaped;
 
 use super::calibration::Calibrations;
@@ -35,6 +35,8 @@ pub struct Photos {
     masks: Option<PathBuf>,
     /// What the report notes about them.
     pub notes: Vec<String>,
+    /// Positions by name, of frames of videos, whose files have none.
+    pub positions: BTreeMap<String, Position>,
 }
 
 /// A photo whose header could be read.
@@ -68,6 +70,7 @@ impl Photos {
             folder,
             inputs: inputs.iter().map(absolute).collect::<Result<_, _>>()?,
             masks: masks.map(Path::to_owned),
+            positions: BTreeMap::new(),
         };
         let found = photos.folder.images().len();
         if found < 2 {

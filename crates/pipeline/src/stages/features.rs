@@ -47,7 +47,7 @@ pub struct FeatureOptions {
     /// Photos with more pixels are skipped, which bounds the memory that a damaged or malicious
     /// file can request. At most [`ABSOLUTE_MAX_PIXELS`](tiepoint_input::ABSOLUTE_MAX_PIXELS).
     pub max_pixels: u64,
-    /// Whether the database keeps the positions in EXIF.
+    /// Whether the database keeps the positions in EXIF and in videos.
     pub keeps_positions: bool,
 }
 
@@ -155,7 +155,7 @@ struct Survey<'a> {
     cameras: Vec<Camera>,
     /// Names and capture times, in seconds, of the images with a known time.
     times: Vec<(&'a str, f64)>,
-    /// The positions in EXIF.
+    /// The positions in EXIF or in videos.
     positions: Vec<(ImageId, Position)>,
 }
 
@@ -263,8 +263,9 @@ impl Survey<'_> {
         notes.extend(self.photos.folder.notes_on_bits());
         notes.extend(self.photos.notes_on_times(&self.usable, &self.times));
         if !self.positions.is_empty() {
+            let place = if self.photos.positions.is_empty() { "EXIF" } else { "their videos" };
             notes.push(format!(
-                "{} of {} photos have a position in EXIF, which database.db keeps",
+                "{} of {} photos have a position in {place}, which database.db keeps",
                 self.positions.len(),
                 self.usable.len()
             ));
@@ -359,9 +360,12 @@ impl Survey<'_> {
     }
 }
 
-/// The positions in EXIF.
+/// The positions in EXIF, and of frames those in their videos.
 fn positions(photos: &Photos, usable: &[Photo]) -> Vec<(ImageId, Position)> {
     let position = |(index, photo): (usize, &Photo)| {
+        if let Some(position) = photos.positions.get(photos.name(photo)) {
+            return Some((ImageId::from_index(index), *position));
+        }
         photo.info.exif.position?;
         // The file has what the header does not: deviations in XMP.
         let position = Exif::read(photos.folder.path(photo.index)).ok()?.position?;

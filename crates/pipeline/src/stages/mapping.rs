@@ -18,7 +18,7 @@ use tiepoint_sfm::geometry::OptionError;
 use tiepoint_sfm::rigs::{rig_candidates, rig_pairs};
 use tiepoint_sfm::scene::KnownRigs;
 use tiepoint_sfm::scene::{
-    Camera, CameraId, CorrespondenceGraph, Image, ImageId, Reconstruction, TwoViewKind,
+    Camera, CameraId, CorrespondenceGraph, Georeference, Image, ImageId, Reconstruction, TwoViewKind,
 };
 use tiepoint_sfm::two_view::VerifyOptions;
 use tiepoint_sfm::{
@@ -110,7 +110,8 @@ pub fn map(
     workspace.run_stage(stage, watch, |run| {
         // Foreign files are detected before mapping. Old models stay until the new ones are
         // complete.
-        let replaced = replaced_names(run.workspace, request.positions.is_some());
+        let may_be_on_earth = request.positions.is_some() || request.input_model.is_some();
+        let replaced = replaced_names(run.workspace, may_be_on_earth);
         run.workspace.folder.ensure_writable(replaced.iter().map(String::as_str))?;
         let input = request.read(run)?;
         request.check(run.workspace, &input)?;
@@ -141,6 +142,8 @@ struct MapInput {
     graph: CorrespondenceGraph,
     known_rigs: Option<KnownRigs>,
     positions: Option<ScenePositions>,
+    /// Where on the earth the frame of the input model is.
+    georeference: Option<Georeference>,
 }
 
 /// What a run of the mapper has besides the input.
@@ -226,6 +229,7 @@ impl<'a> MapRequest<'a> {
                 constant = existing;
             }
         }
+        let georeference = scene.georeference.take();
         let graph = load_graph(run.workspace, &scene)?;
         let rig_calibration = self.given.rig_calibration.as_deref();
         let known_rigs = rig_calibration
@@ -255,7 +259,7 @@ impl<'a> MapRequest<'a> {
         scene.calibrated.extend(constant);
         let positions = self.positions.as_ref().map(|found| found.of_scene(&scene)).transpose()?;
         run.began(num_images(&scene), 0)?;
-        Ok(MapInput { scene, graph, known_rigs, positions })
+        Ok(MapInput { scene, graph, known_rigs, positions, georeference })
     }
 
     /// Checks that what is asked for can be estimated from this input.
@@ -271,6 +275,9 @@ impl<'a> MapRequest<'a> {
     /// Maps, sets scale and frame, and colours the points. `key` is that of the run's checkpoints.
     fn map(&self, run: &mut StageRun, input: &MapInput, key: [u8; 32]) -> Result<Mapped, Error> {
         let (mut models, notes) = self.run_mapper(run, input, MapperWith::Checkpoints(key))?;
+        // One that has no initial pair went on from the input model, in its frame.
+        let extended = models.iter_mut().filter(|model| model.initial_pair.is_none());
+        extended.for_each(|model| model.reconstruction.georeference = input.georeference);
         let mut scales: Vec<Option<ScaleReport>> = match self.given.baseline_m {
             Some(baseline_m) => {
                 let has_positions = input.positions.is_some();
@@ -762,7 +769,7 @@ fn is_timed(scene: &Reconstruction) -> bool {
 
 /// Names of all existing files of models, which new models replace. A georeference that is not ours
 /// is replaced only if there may be a new one.
-fn replaced_names(workspace: &Workspace, has_positions: bool) -> Vec<String> {
+fn replaced_names(workspace: &Workspace, may_be_on_earth: bool) -> Vec<String> {
     let prefix = format!("{SPARSE}/");
     let earlier = workspace.folder.names().filter(|name| name.starts_with(&prefix));
     let mut names: BTreeSet<String> = earlier.map(str::to_owned).collect();
@@ -770,7 +777,7 @@ fn replaced_names(workspace: &Workspace, has_positions: bool) -> Vec<String> {
     names.extend(models.flat_map(|model| model_names(Some(&model))));
     names.insert(POINTS.to_owned());
     // One that cannot be read is refused before mapping.
-    if has_positions || workspace.folder.is_unmodified(GEOREFERENCE).unwrap_or(true) {
+    if may_be_on_earth || workspace.folder.is_unmodified(GEOREFERENCE).unwrap_or(true) {
         names.insert(GEOREFERENCE.to_owned());
     }
     names.extend(workspace.folder.names().filter(|name| is_rig_name(name)).map(str::to_owned));

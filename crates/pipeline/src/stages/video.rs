@@ -14,10 +14,12 @@ use tiepoint_input::fingerprint::hash_file_ends;
 use tiepoint_input::images::{is_image, is_unread_image};
 use tiepoint_input::video::{
     Candidate, FrameSelector, RATE_HZ, Recording, Reduction, STRETCH_S, Selected, Streams,
-    Transfer, VideoReader, is_stabilised, is_video, read_sound, recordings, start_offset_s,
+    Telemetry, Transfer, VideoReader, is_stabilised, is_video, read_sound, recordings,
+    start_offset_s,
 };
 use tiepoint_input::{Error as InputError, Photos};
 use tiepoint_io::timestamps;
+use tiepoint_sfm::scene::{Place, Position, PositionTrack};
 use tiepoint_store::{Error as StoreError, OutputFolder};
 
 use crate::workspace::format::json;
@@ -38,6 +40,33 @@ struct Record {
     /// What the report notes about them.
     #[serde(default)]
     notes: Vec<String>,
+    /// Where the frames were taken, by what the cameras recorded beside the picture.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    positions: Vec<FramePosition>,
+}
+
+/// The position of a frame on WGS 84.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+struct FramePosition {
+    image: String,
+    latitude_deg: f64,
+    longitude_deg: f64,
+    altitude_m: Option<f64>,
+}
+
+impl FramePosition {
+    fn new(image: &str, position: &Position) -> Option<Self> {
+        let Place::Geodetic { latitude_deg, longitude_deg, altitude_m } = position.place else {
+            return None;
+        };
+        Some(Self { image: image.to_owned(), latitude_deg, longitude_deg, altitude_m })
+    }
+
+    fn named(&self) -> (String, Position) {
+        let Self { image, latitude_deg, longitude_deg, altitude_m } = self.clone();
+        let place = Place::Geodetic { latitude_deg, longitude_deg, altitude_m };
+        (image, Position { place, sigma_horizontal_m: None, sigma_vertical_m: None })
+    }
 }
 
 /// A workspace with its input photos.
@@ -95,8 +124,8 @@ pub fn open_input(
     let (mut frames, before) = open_frames(&folder)?;
     let times = folder.join(TIMES);
     let kept = before.as_ref().filter(|before| (before.every, &before.videos) == (every, &videos));
-    let notes = if let Some(kept) = kept {
-        kept.notes.clone()
+    let (notes, positions) = if let Some(kept) = kept {
+        (kept.notes.clone(), kept.positions.clone())
     } else {
         if before.is_some() && redo != Some(Stage::Features) {
             return Err(Error::OtherFrames { path: folder });
@@ -106,18 +135,19 @@ pub fn open_input(
             recordings.iter().flat_map(|recording| &recording.chapters).map(PathBuf::as_path),
         );
         frames.ensure_writable(earlier.iter().map(String::as_str))?;
-        let (mut names, notes) = extract(&recordings, &frames, every, watch)?;
-        let record = Record { every, videos, notes: notes.clone() };
+        let (mut names, notes, positions) = extract(&recordings, &frames, every, watch)?;
+        let record = Record { every, videos, notes, positions };
         frames.stage_bytes(RECORD, &json(&record))?;
         names.push(RECORD.to_owned());
         let removed: Vec<String> =
             earlier.into_iter().filter(|name| !names.contains(name)).collect();
         frames.publish(&names, &removed)?;
-        notes
+        (record.notes, record.positions)
     };
     drop(frames);
     let mut photos = Photos::open(&[folder], masks)?;
     photos.notes.splice(0..0, notes);
+    photos.positions = positions.iter().map(FramePosition::named).collect();
     Ok(OpenedInput { workspace, photos, timestamps: Some(times) })
 }
 
@@ -215,16 +245,16 @@ fn with_unique_names(mut recordings: Vec<Recording>) -> Result<Vec<Recording>, E
 }
 
 /// Stages the selected frames of all recordings and their capture times. Returns the file names,
-/// and what is to be noted.
+/// what is to be noted, and where the frames were taken.
 fn extract(
     recordings: &[Recording],
     frames: &OutputFolder,
     every: Option<NonZeroUsize>,
     watch: Watch,
-) -> Result<(Vec<String>, Vec<String>), Error> {
+) -> Result<(Vec<String>, Vec<String>, Vec<FramePosition>), Error> {
     // Names and capture times of the selected frames.
     let mut selected: Vec<(String, f64)> = Vec::new();
-    let mut notes = Vec::new();
+    let (mut notes, mut positions) = (Vec::new(), Vec::new());
     let start_offsets_s = start_offsets_s(recordings, watch)?;
     // Whether the first recording tells when it began, and when that was.
     let (mut is_dated, mut first_start_s) = (true, None);
@@ -240,6 +270,7 @@ fn extract(
         let (mut read, mut start_s, mut chapter_offset_s, mut last_s, mut interval_s) =
             (0, start_by_audio_s, 0.0, 0.0, 0.0);
         let (mut reduction, mut streams) = (Reduction::None, Streams::default());
+        let mut fixes = Vec::new();
         let selected_before = selected.len();
         let mut keep = |chosen: Selected, watch: Watch, read: usize| -> Result<(), Error> {
             let Selected { frame, is_target } = chosen;
@@ -276,13 +307,16 @@ fn extract(
             }
             reduction = reader.reduction();
             streams = reader.streams();
+            fixes.extend(fixes_of(chapter, start_s.unwrap_or(0.0) + chapter_offset_s)?);
             // A chapter starts one frame interval after the last frame of the previous one.
             chapter_offset_s = last_s + interval_s - start_s.unwrap_or(0.0);
         }
         if let Some(chosen) = selector.end() {
             keep(chosen, watch, read)?;
         }
-        notes.push(taken_note(&recording.name, selected.len() - selected_before, read, every));
+        let of_recording = &selected[selected_before..];
+        notes.push(taken_note(&recording.name, of_recording.len(), read, every));
+        positions.extend(positions_of(of_recording, fixes));
         notes.extend(reduction_note(&recording.name, reduction));
         notes.extend(stream_notes(recording, streams));
     }
@@ -292,7 +326,23 @@ fn extract(
         selected.iter().map(|(name, time_s)| (name.as_str(), *time_s)),
     )?;
     let names = selected.into_iter().map(|(name, _)| name).chain([TIMES.to_owned()]).collect();
-    Ok((names, notes))
+    Ok((names, notes, positions))
+}
+
+/// The positions that a camera recorded beside the picture of a file that begins at `start_s`.
+fn fixes_of(chapter: &Path, start_s: f64) -> Result<Vec<(f64, Position)>, Error> {
+    let Some(telemetry) = Telemetry::read(chapter)? else { return Ok(Vec::new()) };
+    let track = telemetry.positions();
+    let times_s = track.times_s().iter().map(|time_s| start_s + time_s);
+    Ok(times_s.zip(track.positions().iter().copied()).collect())
+}
+
+/// Where the frames of a recording were taken. Before the first position, after the last one and
+/// without a fix nobody knows.
+fn positions_of(frames: &[(String, f64)], fixes: Vec<(f64, Position)>) -> Vec<FramePosition> {
+    let track = PositionTrack::new(fixes);
+    let of_frame = |(name, time_s): &(String, f64)| FramePosition::new(name, &track.at(*time_s)?);
+    frames.iter().filter_map(of_frame).collect()
 }
 
 /// How many frames of a recording are taken, and how to take more.

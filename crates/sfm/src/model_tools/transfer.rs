@@ -74,6 +74,7 @@ pub fn transfer_model(
     }
 
     let mut out = Reconstruction::default();
+    out.georeference = model.georeference;
     for (_, camera) in scene.cameras() {
         out.add_camera(*camera);
     }

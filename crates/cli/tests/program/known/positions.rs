@@ -151,6 +151,11 @@ fn positions_of_photos_give_scale_north_and_up() {
     let rms_m = (squares.iter().sum::<f64>() / squares.len() as f64).sqrt();
     assert!(squares.len() == FRAMES && rms_m < MAX_RMS_M, "{rms_m} m of {}", squares.len());
 
+    // A model that goes on from it is in its frame.
+    let origin = fs::read(ws.join("georeference.json")).unwrap();
+    tiepoint_in(dir, "reconstruct {}/drive/left -o {}/next --input-model {}/ws").done();
+    assert_eq!(fs::read(dir.join("next/georeference.json")).unwrap(), origin);
+
     // Without them, the model has its bytes of before.
     let line = "map {}/ws --redo map --position-priors off";
     tiepoint_in(dir, line).done();
