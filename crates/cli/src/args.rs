@@ -8,7 +8,6 @@ use std::path::PathBuf;
 
 use clap::{ArgGroup, Args, Parser, Subcommand};
 use clap_complete::Shell;
-use tiepoint_pipeline::Stage;
 use tiepoint_pipeline::eval::Alignment;
 use tiepoint_pipeline::evaluation::Truth;
 use tiepoint_pipeline::input::{
@@ -20,6 +19,7 @@ use tiepoint_pipeline::sfm::geometry::{CameraModelKind, Intrinsics};
 use tiepoint_pipeline::sfm::matching::PairSelection;
 use tiepoint_pipeline::sfm::rolling_shutter::Readout;
 use tiepoint_pipeline::stages::PositionPriors;
+use tiepoint_pipeline::{Shard, Stage};
 use tiepoint_synth::trajectory::Carrier;
 use tiepoint_synth::{CollectionKind, Effects, RouteKind, ViewDirection};
 
@@ -156,6 +156,13 @@ pub(crate) struct Features {
     pub(crate) input: Input,
     #[command(flatten)]
     pub(crate) cameras: Cameras,
+    /// Does one of several parts of this stage: i/n is part i of n.
+    ///
+    /// For several machines with a shared folder, or a job array. Each part is a process of its
+    /// own, with the same other options, and leaves a file in the workspace. When all parts are
+    /// done, this command without --shard makes the database of them.
+    #[arg(help_heading = "Output", long, value_name = "i/n", conflicts_with = "database")]
+    pub(crate) shard: Option<Shard>,
     /// Computes this stage again: features.
     #[arg(
         help_heading = "Output",
@@ -175,6 +182,13 @@ pub(crate) struct Match {
     pub(crate) pairs: Pairs,
     #[command(flatten)]
     pub(crate) seed: Seed,
+    /// Does one of several parts of this stage: i/n is part i of n.
+    ///
+    /// For several machines with a shared folder, or a job array. Each part is a process of its
+    /// own, with the same other options, and leaves a file in the workspace. When all parts are
+    /// done, this command without --shard makes the database of them.
+    #[arg(help_heading = "Output", long, value_name = "i/n")]
+    pub(crate) shard: Option<Shard>,
     /// Computes this stage again: match.
     #[arg(
         help_heading = "Output",

@@ -3,7 +3,7 @@ use std::path::{Path, PathBuf};
 use tiepoint_input::Size;
 use tiepoint_io::features::DescriptorFormat;
 
-use crate::Stage;
+use crate::{Shard, Stage};
 
 fn comma_separated(paths: &[PathBuf]) -> String {
     paths.iter().map(|path| path.display().to_string()).collect::<Vec<_>>().join(", ")
@@ -169,6 +169,70 @@ pub enum Error {
         stage: Stage,
         /// The difference, as the end of the sentence "they were made …".
         how: String,
+    },
+    /// Some shards of a stage have no tile.
+    #[error(
+        "{path} has {there} tiles of {products}, and that of shard {shard} is missing or was \
+        interrupted: run that shard of `stage.{stage}`, or delete the folder to do without shards",
+        products = stage.products()
+    )]
+    MissingShard {
+        /// The folder of the tiles.
+        path: PathBuf,
+        /// The stage.
+        stage: Stage,
+        /// The first shard without a tile.
+        shard: Shard,
+        /// The number of tiles.
+        there: usize,
+    },
+    /// A stage has tiles of two numbers of shards.
+    #[error(
+        "{path} has tiles of {products} of {} and of {} shards: delete those of one of the two",
+        counts[0],
+        counts[1],
+        products = stage.products()
+    )]
+    TwoDivisions {
+        /// The folder of the tiles.
+        path: PathBuf,
+        /// The stage.
+        stage: Stage,
+        /// Two numbers of shards.
+        counts: [usize; 2],
+    },
+    /// A tile is damaged, or not that of this shard and these options.
+    #[error(
+        "{path} {why}: give the options of all shards, or delete it and run shard {shard} of \
+        `stage.{stage}` again"
+    )]
+    Tile {
+        /// The tile.
+        path: PathBuf,
+        /// The stage.
+        stage: Stage,
+        /// The shard.
+        shard: Shard,
+        /// The defect, as the end of the sentence "the tile …".
+        why: String,
+    },
+    /// Pairs that came with a database are to be matched in shards.
+    #[error(
+        "the pairs of {path} came with its database, and verifying them is no work for shards: run \
+        `stage.match` without shards, or give `stage.redo` match to match its images anew"
+    )]
+    ImportedPairs {
+        /// The workspace.
+        path: PathBuf,
+    },
+    /// Videos are to be read in shards.
+    #[error(
+        "{path} is a video, and shards are of photos: run `stage.features` without shards, which \
+        writes its frames"
+    )]
+    ShardOfVideo {
+        /// The video.
+        path: PathBuf,
     },
     /// The frames in the workspace come from other videos or another `--every`.
     #[error(
