@@ -1,3 +1,4 @@
+use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 
 use tiepoint_input::Size;
@@ -215,6 +216,31 @@ pub enum Error {
         shard: Shard,
         /// The defect, as the end of the sentence "the tile …".
         why: String,
+    },
+    /// Sub-maps are asked for, and the images are one map.
+    #[error(
+        "{path} is mapped as one map: it has too few images for sub-maps of this size, or \
+        `mapper.submaps` is off; run `stage.map` alone"
+    )]
+    NoSubmaps {
+        /// The workspace.
+        path: PathBuf,
+    },
+    /// There is no sub-map of this number.
+    #[error("{path} has sub-maps 1 to {count}, and none of number {number}")]
+    NoSubmap {
+        /// The workspace.
+        path: PathBuf,
+        /// The number.
+        number: NonZeroUsize,
+        /// How many there are.
+        count: usize,
+    },
+    /// The first sub-map, which calibrates the cameras of the others, is not there.
+    #[error("{path} has no sub-map 1, which calibrates the cameras of the others: map it first")]
+    MissingFirstSubmap {
+        /// The workspace.
+        path: PathBuf,
     },
     /// Pairs that came with a database are to be matched in shards.
     #[error(

@@ -4,7 +4,7 @@ use tiepoint_pipeline::sfm::MapperOptions;
 use tiepoint_pipeline::stages::{
     DenseOptions, FeatureOptions, InputModel, MapOptions, MatchOptions, OpenedInput,
     dense as dense_workspace, extract_features, extract_shard, import_features,
-    map as map_workspace, match_images as match_workspace, match_shard, open_input,
+    map as map_workspace, map_submap, match_images as match_workspace, match_shard, open_input,
     open_shared_input,
 };
 use tiepoint_pipeline::{Options, Stage, Workspace, reconstruct as reconstruct_all};
@@ -98,9 +98,18 @@ pub(crate) fn match_images(args: &Match, output: &Output) -> Result<(), Failure>
 
 pub(crate) fn map(args: &Map, output: &Output) -> Result<(), Failure> {
     let redo = check_redo(args.redo, Stage::Map)?;
+    let options =
+        MapOptions { merges_submaps: args.merge, ..map_options(&args.mapping, &args.seed)? };
+    if let Some(number) = args.submap {
+        let mut workspace = Workspace::open_shared(&args.workspace)?;
+        let mut progress = Progress::new(output);
+        let report =
+            map_submap(&mut workspace, &options, number, redo, &mut |event| progress.watch(event))?;
+        drop(progress);
+        return output.result(&report, || summary::shard(&report));
+    }
     let mut workspace = Workspace::open(&args.workspace)?;
     let mut progress = Progress::new(output);
-    let options = map_options(&args.mapping, &args.seed)?;
     map_workspace(&mut workspace, &options, redo, &mut |event| progress.watch(event))?;
     drop(progress);
     print_report(&workspace, output)
@@ -177,5 +186,8 @@ fn map_options(mapping: &Mapping, seed: &Seed) -> Result<MapOptions, Failure> {
         rig_calibration: mapping.rig_calibration.clone(),
         refine_extrinsics,
         position_priors: mapping.position_priors.clone(),
+        submaps: mapping.submaps,
+        max_memory_bytes: mapping.max_memory,
+        merges_submaps: false,
     })
 }

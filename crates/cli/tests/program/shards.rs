@@ -1,4 +1,4 @@
-//! Stages in shards: processes that share the work of a stage.
+//! Stages in shards, and mapping in parts: processes that share the work of a stage.
 
 use std::fs::{self, File};
 use std::path::Path;
@@ -179,4 +179,58 @@ fn shards_share_a_workspace_with_shards_alone() {
     tiepoint_in(dir, shard).failed(1, &["in use by another run"]);
     lock.unlock().unwrap();
     tiepoint_in(dir, plain).done();
+}
+
+/// Of the models of a workspace.
+fn models(workspace: &Path) -> Vec<Vec<u8>> {
+    let read = |name: &str| fs::read(workspace.join(format!("sparse/0/{name}.bin"))).unwrap();
+    ["cameras", "images", "points3D"].map(read).into()
+}
+
+/// 60 images in two parts: by one process on one thread and on two, and by a process for each part.
+#[test]
+fn sub_maps_give_the_same_bytes_whoever_maps_them() {
+    let dir = tempfile::tempdir().unwrap();
+    let dir = dir.path();
+    let synth = "synth -o {}/drive --frames 30 --size 240x180 --rate 2.5 --route open --seed 3";
+    tiepoint_in(dir, synth).done();
+    tiepoint_in(dir, "features {}/drive -o {}/ws --timestamps {}/drive/timestamps.csv").done();
+    tiepoint_in(dir, "match {}/ws --pairs sequential:6").done();
+    let workspaces = ["one", "two", "parts"].map(|name| dir.join(name));
+    for to in &workspaces {
+        fs::create_dir(to).unwrap();
+        for entry in fs::read_dir(dir.join("ws")).unwrap().map(Result::unwrap) {
+            fs::copy(entry.path(), to.join(entry.file_name())).unwrap();
+        }
+    }
+    let map = |ws: &str, more: &str| {
+        tiepoint_in(dir, &format!("map {{}}/{ws} --rig off --submaps 50 {more}"))
+    };
+    let one = map("one", "--threads 1 --max-memory 1MB --json").done().json();
+    assert_eq!(one["models"][0]["registered"], 60, "{one}");
+    map("two", "--threads 2").done();
+    assert!(models(&workspaces[0]) == models(&workspaces[1]), "any number of threads");
+    assert!(!workspaces[0].join(TILES).exists());
+
+    map("parts", "--submap 2").failed(1, &["no sub-map 1", "map it first"]);
+    map("parts", "--merge").failed(1, &["0 tiles of models", "shard 1/2 is missing"]);
+    map("parts", "--submap 3").failed(1, &["sub-maps 1 to 2", "none of number 3"]);
+    map("parts", "--submap 1").done();
+    map("parts", "--merge").failed(1, &["1 tiles of models", "shard 2/2 is missing"]);
+    let kept = map("parts", "--submap 1 --json").done().json();
+    assert_eq!(kept["is_kept"], true);
+    let other = map("parts", "--submap 2 --seed 1").failed(1, &["map-1-of-2 was made with"]);
+    assert!(other.stderr().contains("seed 0 and not 1"), "{}", other.stderr());
+    map("parts", "--submap 2").done();
+    map("parts", "--merge").done();
+    assert!(models(&workspaces[0]) == models(&workspaces[2]), "a process for each part");
+    assert!(!workspaces[2].join(TILES).exists());
+
+    // One map: too few images for parts by default, or something else gives the frame.
+    for options in ["--submaps off", "--submaps auto"] {
+        let line = format!("map {{}}/ws --rig off {options} --submap 1");
+        tiepoint_in(dir, &line).failed(1, &["is mapped as one map", "run `tiepoint map` alone"]);
+    }
+    tiepoint_in(dir, "map {}/ws --submaps 50 --rig paper").failed(1, &["as one map"]);
+    tiepoint_in(dir, "map {}/ws --submaps 20").failed(1, &["submaps", "at least 50"]);
 }

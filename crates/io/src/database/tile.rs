@@ -100,6 +100,15 @@ impl TileWriter {
         })
     }
 
+    /// Adds the state of a sub-map, the only content of its tile.
+    ///
+    /// # Errors
+    ///
+    /// If the file cannot be written.
+    pub fn write_state(&mut self, state: &[u8]) -> Result<()> {
+        self.write(|file| file.write_all(state))
+    }
+
     /// Writes the hash, and gives the tile its name.
     ///
     /// # Errors
@@ -145,6 +154,19 @@ impl TileReader {
 
     fn is_at_end(&self) -> bool {
         self.reader.remaining() == 0
+    }
+
+    /// All content, as one.
+    ///
+    /// # Errors
+    ///
+    /// If the file cannot be read.
+    pub fn read_state(&mut self) -> Result<Vec<u8>> {
+        let length = self.reader.check_count(self.reader.remaining(), 1, "the length")?;
+        let mut state = self.reader.list(length)?;
+        state.resize(length, 0);
+        self.reader.fill(&mut state, "the state")?;
+        Ok(state)
     }
 
     /// The next features of an image; `None` at the end.

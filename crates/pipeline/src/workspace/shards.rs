@@ -201,6 +201,29 @@ impl Workspace {
         Ok(found.into_iter().collect())
     }
 
+    /// Checks that all of a number of shards have tiles of a recipe.
+    ///
+    /// # Errors
+    ///
+    /// One has none, or one that is damaged or of another recipe.
+    pub(crate) fn require_tiles(
+        &self,
+        stage: Stage,
+        count: usize,
+        recipe: &Recipe,
+    ) -> Result<(), Error> {
+        let mut first = None;
+        let mut there = 0;
+        for shard in Shard::all(count) {
+            match self.tile_of(stage, shard, recipe)? {
+                Some(_) => there += 1,
+                None => first = first.or(Some(shard)),
+            }
+        }
+        let path = self.root().join(TILES);
+        first.map_or(Ok(()), |shard| Err(Error::MissingShard { path, stage, shard, there }))
+    }
+
     /// Takes the tiles of all shards of a stage, one after the other; none if there are none.
     ///
     /// # Errors
