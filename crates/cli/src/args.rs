@@ -8,7 +8,6 @@ use std::path::PathBuf;
 
 use clap::{ArgGroup, Args, Parser, Subcommand};
 use clap_complete::Shell;
-use tiepoint_pipeline::Stage;
 use tiepoint_pipeline::eval::Alignment;
 use tiepoint_pipeline::evaluation::Truth;
 use tiepoint_pipeline::input::{
@@ -19,12 +18,16 @@ use tiepoint_pipeline::sfm::RigMode;
 use tiepoint_pipeline::sfm::geometry::{CameraModelKind, Intrinsics};
 use tiepoint_pipeline::sfm::matching::PairSelection;
 use tiepoint_pipeline::sfm::rolling_shutter::Readout;
-use tiepoint_pipeline::stages::PositionPriors;
+use tiepoint_pipeline::stages::{PositionPriors, Submaps};
+use tiepoint_pipeline::{Shard, Stage};
 use tiepoint_synth::trajectory::Carrier;
 use tiepoint_synth::{CollectionKind, Effects, RouteKind, ViewDirection};
 
 pub(crate) use values::{CropBox, ImageSize, Metres, PositivePixels, Quantiles, Refine, threads};
-use values::{NumberList, downscale, one_of, position_priors, positive, readout, refine, rig_mode};
+use values::{
+    NumberList, downscale, memory, one_of, position_priors, positive, readout, refine, rig_mode,
+    submaps,
+};
 
 /// Structure from motion for cameras mounted on one vehicle: photos in, a COLMAP model out.
 #[derive(Debug, Parser)]
@@ -157,6 +160,13 @@ pub(crate) struct Features {
     pub(crate) input: Input,
     #[command(flatten)]
     pub(crate) cameras: Cameras,
+    /// Does one of several parts of this stage: i/n is part i of n.
+    ///
+    /// For several machines with a shared folder, or a job array. Each part is a process of its
+    /// own, with the same other options, and leaves a file in the workspace. When all parts are
+    /// done, this command without --shard makes the database of them.
+    #[arg(help_heading = "Output", long, value_name = "i/n", conflicts_with = "database")]
+    pub(crate) shard: Option<Shard>,
     /// Computes this stage again: features.
     #[arg(
         help_heading = "Output",
@@ -176,6 +186,13 @@ pub(crate) struct Match {
     pub(crate) pairs: Pairs,
     #[command(flatten)]
     pub(crate) seed: Seed,
+    /// Does one of several parts of this stage: i/n is part i of n.
+    ///
+    /// For several machines with a shared folder, or a job array. Each part is a process of its
+    /// own, with the same other options, and leaves a file in the workspace. When all parts are
+    /// done, this command without --shard makes the database of them.
+    #[arg(help_heading = "Output", long, value_name = "i/n")]
+    pub(crate) shard: Option<Shard>,
     /// Computes this stage again: match.
     #[arg(
         help_heading = "Output",
@@ -195,6 +212,16 @@ pub(crate) struct Map {
     pub(crate) mapping: Mapping,
     #[command(flatten)]
     pub(crate) seed: Seed,
+    /// Maps one part of --submaps alone.
+    ///
+    /// For several machines with a shared folder, or a job array. Part 1 calibrates the cameras of
+    /// the others, and comes first. Each part leaves a file in the workspace; --merge makes the
+    /// model of them.
+    #[arg(help_heading = "Output", long, value_name = "K")]
+    pub(crate) submap: Option<NonZeroUsize>,
+    /// Assembles the parts that --submap made; without it, missing ones are mapped.
+    #[arg(help_heading = "Output", long, conflicts_with = "submap")]
+    pub(crate) merge: bool,
     /// Computes this stage again: map.
     #[arg(
         help_heading = "Output",
@@ -519,6 +546,24 @@ pub(crate) struct Mapping {
     /// From the first row to the last. Needs capture times. By default a global shutter is assumed.
     #[arg(long, value_name = "16ms", value_parser = readout, allow_hyphen_values = true)]
     pub(crate) rolling_shutter: Option<Readout>,
+    /// Maps parts of so many images apart, and assembles them: auto, off or a number.
+    ///
+    /// auto: 500 images, from 2,000 images on. Parts overlap; they are cut in the order of
+    /// sequences, other images by what they see. Not with --rig-calibration, --input-model and
+    /// --rig paper.
+    #[arg(long, value_name = "IMAGES", default_value = "auto", value_parser = submaps)]
+    pub(crate) submaps: Submaps,
+    /// Memory for parts that are mapped at once, as 8GB [default: half of the free memory].
+    ///
+    /// The results do not depend on it.
+    #[arg(
+        help_heading = "Output",
+        long,
+        value_name = "SIZE",
+        value_parser = memory,
+        hide_short_help = true
+    )]
+    pub(crate) max_memory: Option<u64>,
 }
 
 #[derive(Debug, Args)]

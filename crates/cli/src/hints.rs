@@ -16,7 +16,7 @@ pub(crate) enum Reader {
 }
 
 /// Options of the libraries, and their flags.
-const OPTIONS: [(&str, &str); 36] = [
+const OPTIONS: [(&str, &str); 37] = [
     ("dense.depth_pngs", "--depth-pngs"),
     ("dense.max_image_size", "--max-size"),
     ("dense.normal_maps", "--normal-maps"),
@@ -49,6 +49,7 @@ const OPTIONS: [(&str, &str); 36] = [
     ("mapper.rig", "--rig"),
     ("mapper.rig_calibration", "--rig-calibration"),
     ("mapper.seed", "--seed"),
+    ("mapper.submaps", "--submaps"),
     ("match.pairs", "--pairs"),
     ("match.seed", "--seed"),
     ("output.overwrite", "--overwrite"),

@@ -10,8 +10,8 @@ use tiepoint_pipeline::evaluation::{
 use tiepoint_pipeline::models::RigidReport;
 use tiepoint_pipeline::sfm::geometry::CameraModelKind;
 use tiepoint_pipeline::workspace::{
-    ConstraintKind, DenseReport, ModelReport, PaperReport, RigCamera, RigClockState, SplitReport,
-    verdict, why_unregistered,
+    ConstraintKind, DenseReport, ModelReport, PaperReport, RigCamera, RigClockState, ShardReport,
+    SplitReport, verdict, why_unregistered,
 };
 
 use crate::output::printable;
@@ -39,6 +39,18 @@ pub(crate) fn report(workspace: &Path, report: &Report) -> String {
     }
     let _ = writeln!(text, "in {}", printable(&workspace.display().to_string()));
     text
+}
+
+/// What a shard did.
+pub(crate) fn shard(report: &ShardReport) -> String {
+    let ShardReport { stage, shard, tile, is_kept } = report;
+    match tile {
+        None => format!("the stage {stage} is complete: nothing is left for shard {shard}\n"),
+        Some(tile) => {
+            let was = if *is_kept { " was there" } else { "" };
+            format!("shard {shard} of {stage} in {}{was}\n", printable(&tile.display().to_string()))
+        }
+    }
 }
 
 /// What may be done next with a workspace: commands, and what each is for.

@@ -22,16 +22,16 @@ impl Reader {
     pub(crate) fn open(path: &Path) -> Result<Self> {
         let file = File::open(path).map_err(Error::io(path))?;
         let length = file.metadata().map_err(Error::io(path))?.len();
-        Ok(Self {
-            inner: BufReader::with_capacity(1 << 16, file),
-            path: path.to_owned(),
-            offset: 0,
-            length,
-        })
+        Ok(Self::new(BufReader::with_capacity(1 << 16, file), path, length))
     }
 }
 
 impl<R: Read> Reader<R> {
+    /// Reads the first `length` bytes.
+    pub(crate) fn new(inner: R, path: &Path, length: u64) -> Self {
+        Self { inner, path: path.to_owned(), offset: 0, length }
+    }
+
     pub(crate) fn error(&self, what: impl Into<String>) -> Error {
         Error::Bytes { path: self.path.clone(), offset: self.offset, what: what.into() }
     }

@@ -1,9 +1,10 @@
+use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 
 use tiepoint_input::Size;
 use tiepoint_io::features::DescriptorFormat;
 
-use crate::Stage;
+use crate::{Shard, Stage};
 
 fn comma_separated(paths: &[PathBuf]) -> String {
     paths.iter().map(|path| path.display().to_string()).collect::<Vec<_>>().join(", ")
@@ -169,6 +170,95 @@ pub enum Error {
         stage: Stage,
         /// The difference, as the end of the sentence "they were made …".
         how: String,
+    },
+    /// Some shards of a stage have no tile.
+    #[error(
+        "{path} has {there} tiles of {products}, and that of shard {shard} is missing or was \
+        interrupted: run that shard of `stage.{stage}`, or delete the folder to do without shards",
+        products = stage.products()
+    )]
+    MissingShard {
+        /// The folder of the tiles.
+        path: PathBuf,
+        /// The stage.
+        stage: Stage,
+        /// The first shard without a tile.
+        shard: Shard,
+        /// The number of tiles.
+        there: usize,
+    },
+    /// A stage has tiles of two numbers of shards.
+    #[error(
+        "{path} has tiles of {products} of {} and of {} shards: delete those of one of the two",
+        counts[0],
+        counts[1],
+        products = stage.products()
+    )]
+    TwoDivisions {
+        /// The folder of the tiles.
+        path: PathBuf,
+        /// The stage.
+        stage: Stage,
+        /// Two numbers of shards.
+        counts: [usize; 2],
+    },
+    /// A tile is damaged, or not that of this shard and these options.
+    #[error(
+        "{path} {why}: give the options of all shards, or delete it and run shard {shard} of \
+        `stage.{stage}` again"
+    )]
+    Tile {
+        /// The tile.
+        path: PathBuf,
+        /// The stage.
+        stage: Stage,
+        /// The shard.
+        shard: Shard,
+        /// The defect, as the end of the sentence "the tile …".
+        why: String,
+    },
+    /// Sub-maps are asked for, and the images are one map.
+    #[error(
+        "{path} is mapped as one map: it has too few images for sub-maps of this size, or \
+        `mapper.submaps` is off; run `stage.map` alone"
+    )]
+    NoSubmaps {
+        /// The workspace.
+        path: PathBuf,
+    },
+    /// There is no sub-map of this number.
+    #[error("{path} has sub-maps 1 to {count}, and none of number {number}")]
+    NoSubmap {
+        /// The workspace.
+        path: PathBuf,
+        /// The number.
+        number: NonZeroUsize,
+        /// How many there are.
+        count: usize,
+    },
+    /// The first sub-map, which calibrates the cameras of the others, is not there.
+    #[error("{path} has no sub-map 1, which calibrates the cameras of the others: map it first")]
+    MissingFirstSubmap {
+        /// The workspace.
+        path: PathBuf,
+    },
+    /// Pairs that came with a database are to be matched in shards.
+    #[error(
+        "the pairs of {path} came with its database, and verifying them is no work for shards: run \
+        `stage.match` without shards, or give `stage.redo` match to match its images anew"
+    )]
+    ImportedPairs {
+        /// The workspace.
+        path: PathBuf,
+    },
+    /// Videos are to be read in shards.
+    #[error(
+        "{path} is a video, and shards are of photos: run `stage.features` without shards, which \
+        writes its frames"
+    )]
+    ShardOfVideo {
+        /// The video.
+        path: PathBuf,
     },
     /// The frames in the workspace come from other videos or another `--every`.
     #[error(

@@ -4,12 +4,14 @@ mod error;
 pub mod evaluation;
 mod event;
 pub mod models;
+mod shard;
 mod stage;
 pub mod stages;
 pub mod workspace;
 
 pub use error::Error;
 pub use event::{DenseStep, Event, Watch, emit};
+pub use shard::Shard;
 pub use stage::Stage;
 pub use stages::reconstruct::{Options, reconstruct};
 pub use tiepoint_dense as dense;

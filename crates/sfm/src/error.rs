@@ -31,6 +31,15 @@ pub enum Error {
         from the model without them"
     )]
     RigsOfExistingModel,
+    /// Sub-maps are to be assembled where something else gives the frame.
+    #[error(
+        "sub-maps are assembled by their common images: map known rigs, an existing model and \
+        the rig constraint of the paper as one map"
+    )]
+    SubmapsWithFrame,
+    /// The states are none of [`crate::Mapper::submap`] with this scene.
+    #[error("the sub-maps are those of other images or cameras: map them again")]
+    OtherSubmaps,
     /// An option is out of its range.
     #[error(transparent)]
     Option(#[from] tiepoint_geometry::OptionError),

@@ -16,6 +16,7 @@ pub mod register;
 pub mod rigs;
 pub mod rolling_shutter;
 mod saved;
+pub mod submaps;
 mod terms;
 mod timeline;
 pub mod tracks;

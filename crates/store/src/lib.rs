@@ -3,6 +3,7 @@
 mod atomic;
 pub mod disk;
 mod error;
+mod hashed_file;
 mod manifest;
 mod named_file;
 mod output_folder;
@@ -11,6 +12,7 @@ mod run_state;
 
 pub use atomic::AtomicFile;
 pub use error::{Error, Result};
+pub use hashed_file::{HashedFile, open_hashed};
 pub use manifest::{MANIFEST, Manifest, is_inside, manifest_files};
 pub use named_file::{Mark, Replace, may_be_replaced, write_file};
 pub use output_folder::OutputFolder;

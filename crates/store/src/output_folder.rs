@@ -44,6 +44,8 @@ pub struct OutputFolder {
     always_replaceable: &'static [&'static str],
     /// Names of files that may be replaced, whoever made them.
     replaceable: BTreeSet<String>,
+    /// Whether other processes have the folder open, too, and none of them changes listed files.
+    is_shared: bool,
     /// Lock on the folder, on systems that can lock folders.
     _lock: Option<File>,
 }
@@ -68,27 +70,51 @@ impl OutputFolder {
     /// The folder cannot be written, another run uses it, its manifest is invalid, or a name that
     /// an interrupted transaction moves leads over a link.
     pub fn open(root: &Path) -> Result<Self, Error> {
-        disk::create_folders(root).map_err(Error::output(root))?;
-        let lock = lock(root)?;
-        let root = Folder::open(root).map_err(Error::output(root))?;
-        for name in [MANIFEST, STAGED, COMMITTED, REPLACED] {
-            refuse_link(&root, name)?;
-        }
-        let manifest = read_manifest(root.path())?.unwrap_or_default();
-        let this = Self {
-            root,
-            manifest,
-            inputs: BTreeSet::new(),
-            always_replaceable: &[],
-            replaceable: BTreeSet::new(),
-            _lock: lock,
-        };
+        let this = Self::locked(root, false)?;
         if this.root.has(COMMITTED) {
             this.put_in_place()?;
         }
         this.remove(STAGED)?;
         this.remove(REPLACED)?;
         Ok(this)
+    }
+
+    /// Opens or creates a folder for one of several processes at a time. They write files of their
+    /// own beside the listed ones, and publish nothing.
+    ///
+    /// # Errors
+    ///
+    /// Those of [`OutputFolder::open`], and an interrupted run has to complete a transaction first.
+    pub fn open_shared(root: &Path) -> Result<Self, Error> {
+        let this = Self::locked(root, true)?;
+        match Self::is_unfinished(root) {
+            true => Err(Error::Unfinished { path: root.to_owned() }),
+            false => Ok(this),
+        }
+    }
+
+    fn locked(root: &Path, is_shared: bool) -> Result<Self, Error> {
+        disk::create_folders(root).map_err(Error::output(root))?;
+        let lock = lock(root, is_shared)?;
+        let root = Folder::open(root).map_err(Error::output(root))?;
+        for name in [MANIFEST, STAGED, COMMITTED, REPLACED] {
+            refuse_link(&root, name)?;
+        }
+        let manifest = read_manifest(root.path())?.unwrap_or_default();
+        Ok(Self {
+            root,
+            manifest,
+            inputs: BTreeSet::new(),
+            always_replaceable: &[],
+            replaceable: BTreeSet::new(),
+            is_shared,
+            _lock: lock,
+        })
+    }
+
+    /// The folder itself, for files of this program's own that take no part in transactions.
+    pub fn folder(&self) -> &Folder {
+        &self.root
     }
 
     /// Whether a folder has a manifest of this program.
@@ -428,8 +454,10 @@ impl OutputFolder {
 
 impl Drop for OutputFolder {
     fn drop(&mut self) {
-        // Staged files that were not published. Errors cannot be returned here.
-        let _ = self.root.remove_own_folder(STAGED);
+        if !self.is_shared {
+            // Staged files that were not published. Errors cannot be returned here.
+            let _ = self.root.remove_own_folder(STAGED);
+        }
     }
 }
 
@@ -472,10 +500,10 @@ fn hash_of(root: &Folder, name: impl AsRef<Path>) -> Result<Option<String>, Erro
 }
 
 #[cfg(unix)]
-fn lock(root: &Path) -> Result<Option<File>, Error> {
+fn lock(root: &Path, is_shared: bool) -> Result<Option<File>, Error> {
     let folder =
         File::open(root).map_err(|cause| Error::Unreadable { path: root.to_owned(), cause })?;
-    match folder.try_lock() {
+    match if is_shared { folder.try_lock_shared() } else { folder.try_lock() } {
         Err(TryLockError::WouldBlock) => Err(Error::InUse { path: root.to_owned() }),
         // Some network file systems do not support locks; then there is none.
         Ok(()) | Err(TryLockError::Error(_)) => Ok(Some(folder)),
@@ -483,7 +511,7 @@ fn lock(root: &Path) -> Result<Option<File>, Error> {
 }
 
 #[cfg(not(unix))]
-fn lock(_: &Path) -> Result<Option<File>, Error> {
+fn lock(_: &Path, _: bool) -> Result<Option<File>, Error> {
     Ok(None)
 }
 

@@ -11,7 +11,10 @@ use tiepoint_pipeline::sfm::adjust::RefineIntrinsics;
 use tiepoint_pipeline::sfm::geometry::nalgebra::Vector3;
 use tiepoint_pipeline::sfm::model_tools::BoundingBox;
 use tiepoint_pipeline::sfm::rolling_shutter::Readout;
-use tiepoint_pipeline::stages::PositionPriors;
+use tiepoint_pipeline::stages::{PositionPriors, Submaps};
+
+/// Bytes of a gibibyte.
+const GIB: f64 = 1_073_741_824.0;
 
 /// Width and height, in pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -250,9 +253,38 @@ pub(super) fn position_priors(text: &str) -> Result<PositionPriors, Infallible> 
     })
 }
 
+/// The size of sub-maps.
+pub(super) fn submaps(text: &str) -> Result<Submaps, String> {
+    Ok(match text {
+        "auto" => Submaps::Auto,
+        "off" => Submaps::Off,
+        size => Submaps::Size(size.parse().map_err(|_| "expected auto, off or a number")?),
+    })
+}
+
+/// A size of memory, in bytes.
+pub(super) fn memory(text: &str) -> Result<u64, String> {
+    let bytes = |(unit, bytes): (&str, f64)| {
+        let number: f64 = text.strip_suffix(unit)?.trim().parse().ok()?;
+        Some((number * bytes) as u64).filter(|_| number.is_finite() && number > 0.0)
+    };
+    let units = [("GB", 1e9), ("MB", 1e6), ("GiB", GIB), ("MiB", GIB / 1024.0)];
+    let found = units.into_iter().find_map(bytes);
+    found.ok_or_else(|| "expected a size as 8GB or 500MB".to_owned())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn sizes_of_memory_have_units() {
+        assert_eq!(memory("8GB"), Ok(8_000_000_000));
+        assert_eq!(memory("0.5GiB"), Ok(1 << 29));
+        for text in ["8", "GB", "-1GB", "0MB", "infGB", "8 gb"] {
+            assert!(memory(text).is_err(), "{text}");
+        }
+    }
 
     #[test]
     fn a_size_is_two_numbers() {

@@ -3,8 +3,9 @@
 use tiepoint_pipeline::sfm::MapperOptions;
 use tiepoint_pipeline::stages::{
     DenseOptions, FeatureOptions, InputModel, MapOptions, MatchOptions, OpenedInput,
-    dense as dense_workspace, extract_features, import_features, map as map_workspace,
-    match_images as match_workspace, open_input,
+    dense as dense_workspace, extract_features, extract_shard, import_features,
+    map as map_workspace, map_submap, match_images as match_workspace, match_shard, open_input,
+    open_shared_input,
 };
 use tiepoint_pipeline::{Options, Stage, Workspace, reconstruct as reconstruct_all};
 
@@ -58,6 +59,15 @@ pub(crate) fn features(args: &Features, output: &Output) -> Result<(), Failure> 
         drop(progress);
         return print_report(&workspace, output);
     }
+    if let Some(shard) = args.shard {
+        let OpenedInput { photos, workspace, .. } =
+            open_shared_input(inputs, masks.as_deref(), root)?;
+        let report = extract_shard(&photos, &workspace, &options, shard, redo, &mut |event| {
+            progress.watch(event)
+        })?;
+        drop(progress);
+        return output.result(&report, || summary::shard(&report));
+    }
     let OpenedInput { photos, mut workspace, timestamps } =
         open_input(inputs, masks.as_deref(), root, *every, redo, &mut |event| {
             progress.watch(event)
@@ -70,9 +80,17 @@ pub(crate) fn features(args: &Features, output: &Output) -> Result<(), Failure> 
 
 pub(crate) fn match_images(args: &Match, output: &Output) -> Result<(), Failure> {
     let redo = check_redo(args.redo, Stage::Match)?;
+    let options = match_options(&args.pairs, &args.seed);
+    if let Some(shard) = args.shard {
+        let workspace = Workspace::open_shared(&args.workspace)?;
+        let mut progress = Progress::new(output);
+        let report =
+            match_shard(&workspace, &options, shard, redo, &mut |event| progress.watch(event))?;
+        drop(progress);
+        return output.result(&report, || summary::shard(&report));
+    }
     let mut workspace = Workspace::open(&args.workspace)?;
     let mut progress = Progress::new(output);
-    let options = match_options(&args.pairs, &args.seed);
     match_workspace(&mut workspace, &options, redo, &mut |event| progress.watch(event))?;
     drop(progress);
     print_report(&workspace, output)
@@ -80,9 +98,18 @@ pub(crate) fn match_images(args: &Match, output: &Output) -> Result<(), Failure>
 
 pub(crate) fn map(args: &Map, output: &Output) -> Result<(), Failure> {
     let redo = check_redo(args.redo, Stage::Map)?;
+    let options =
+        MapOptions { merges_submaps: args.merge, ..map_options(&args.mapping, &args.seed)? };
+    if let Some(number) = args.submap {
+        let mut workspace = Workspace::open_shared(&args.workspace)?;
+        let mut progress = Progress::new(output);
+        let report =
+            map_submap(&mut workspace, &options, number, redo, &mut |event| progress.watch(event))?;
+        drop(progress);
+        return output.result(&report, || summary::shard(&report));
+    }
     let mut workspace = Workspace::open(&args.workspace)?;
     let mut progress = Progress::new(output);
-    let options = map_options(&args.mapping, &args.seed)?;
     map_workspace(&mut workspace, &options, redo, &mut |event| progress.watch(event))?;
     drop(progress);
     print_report(&workspace, output)
@@ -159,5 +186,8 @@ fn map_options(mapping: &Mapping, seed: &Seed) -> Result<MapOptions, Failure> {
         rig_calibration: mapping.rig_calibration.clone(),
         refine_extrinsics,
         position_priors: mapping.position_priors.clone(),
+        submaps: mapping.submaps,
+        max_memory_bytes: mapping.max_memory,
+        merges_submaps: false,
     })
 }

@@ -22,7 +22,10 @@ use tiepoint_pipeline::input::Calibration;
 use tiepoint_pipeline::models::{ExportFormat, ExportSource, adjust, export};
 use tiepoint_pipeline::sfm::MapperOptions;
 use tiepoint_pipeline::sfm::geometry::{CameraModelKind, Rng};
-use tiepoint_pipeline::stages::{DenseOptions, FeatureOptions, MapOptions, MatchOptions, dense};
+use tiepoint_pipeline::stages::{
+    DenseOptions, FeatureOptions, MapOptions, MatchOptions, OpenedInput, dense, extract_features,
+    extract_shard, match_shard, open_input, open_shared_input,
+};
 use tiepoint_pipeline::workspace::LocatedModel;
 use tiepoint_pipeline::{Error, Options, Stage, Workspace, reconstruct};
 use tiepoint_report::view;
@@ -51,6 +54,8 @@ const SEED: u64 = 20_261_123;
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Command {
     Reconstruct,
+    /// Features and matches in two shards each.
+    Shards,
     /// With another camera model.
     RedoFeatures,
     /// With other image pairs.
@@ -114,6 +119,25 @@ impl Command {
                 };
                 dense(&mut Workspace::open(&ws)?, &options, redo, watch)
             }
+            Self::Shards => {
+                let (photos, options) = ([dir.join("photos")], self.options());
+                let shards = || ["1/2", "2/2"].map(|shard| shard.parse().unwrap());
+                for shard in shards() {
+                    let opened = retried(|| open_shared_input(&photos, None, &ws))?;
+                    let OpenedInput { photos, workspace, .. } = opened;
+                    let options = &options.features;
+                    extract_shard(&photos, &workspace, options, shard, redo, watch)?;
+                }
+                let mut opened = retried(|| open_input(&photos, None, &ws, None, redo, watch))?;
+                let options_of = &options.features;
+                extract_features(&opened.photos, &mut opened.workspace, options_of, redo, watch)?;
+                drop(opened);
+                for shard in shards() {
+                    let workspace = retried(|| Workspace::open_shared(&ws))?;
+                    match_shard(&workspace, &options.matching, shard, redo, watch)?;
+                }
+                retried(|| reconstruct(&photos, &ws, &options, watch).map(drop))
+            }
             _ => {
                 let options = Options { redo, ..self.options() };
                 reconstruct(&[dir.join("photos")], &ws, &options, watch).map(drop)
@@ -123,7 +147,20 @@ impl Command {
 
     /// Whether it needs a complete workspace.
     fn has_workspace(self) -> bool {
-        self != Self::Reconstruct
+        ![Self::Reconstruct, Self::Shards].contains(&self)
+    }
+}
+
+/// Tries again while a workspace is in use: processes that other tests start inherit the locks of
+/// this process until exec.
+fn retried<T>(mut run: impl FnMut() -> Result<T, Error>) -> Result<T, Error> {
+    let mut tries = 0;
+    loop {
+        match run() {
+            Err(Error::Store(StoreError::InUse { .. })) if tries < MAX_TRIES => tries += 1,
+            ended => return ended,
+        }
+        std::thread::sleep(BETWEEN_TRIES);
     }
 }
 
@@ -248,17 +285,7 @@ fn test_fault(
     }
     check_record(&dir, &case);
     // Resumes without --redo, or with it if the stage had not begun, as the message says.
-    let again = |redo| {
-        let mut tries = 0;
-        loop {
-            match command.run(&dir, redo) {
-                // Processes that other tests start inherit the locks of this process until exec.
-                Err(Error::Store(StoreError::InUse { .. })) if tries < MAX_TRIES => tries += 1,
-                ended => return ended,
-            }
-            std::thread::sleep(BETWEEN_TRIES);
-        }
-    };
+    let again = |redo| retried(|| command.run(&dir, redo));
     let on = match again(None) {
         Err(Error::Changed { .. }) => again(command.options().redo),
         ended => ended,
@@ -289,6 +316,7 @@ fn nothing_is_lost_and_no_record_is_false_whatever_fails() {
     }
     let commands = [
         Command::Reconstruct,
+        Command::Shards,
         Command::RedoFeatures,
         Command::RedoMatch,
         Command::RedoMap,

@@ -25,6 +25,7 @@ mod page;
 mod photos;
 mod records;
 mod results;
+mod shards;
 #[path = "../../../../tests/skipped.rs"]
 mod skipped;
 mod undistort;

@@ -21,14 +21,14 @@ const TYPES: [(i64, DescriptorKind); 5] = [
     (-2, DescriptorKind::Floats),
 ];
 
-fn type_of(kind: DescriptorKind) -> i64 {
+pub(super) fn type_of(kind: DescriptorKind) -> i64 {
     TYPES.iter().find(|(_, known)| *known == kind).map_or(-1, |(number, _)| *number)
 }
 
 /// The format of descriptors of a type with a number of bytes each; `None` for a type that is not
 /// known. Before COLMAP 4 all descriptors had no type, and those that are not of SIFT's size are
 /// of another kind.
-fn format_of(number: i64, num_bytes: usize) -> Option<DescriptorFormat> {
+pub(super) fn format_of(number: i64, num_bytes: usize) -> Option<DescriptorFormat> {
     let (_, kind) = TYPES.into_iter().find(|(known, _)| *known == number)?;
     let format = match kind {
         DescriptorKind::Sift if num_bytes != DescriptorFormat::SIFT.dim => {
@@ -41,7 +41,7 @@ fn format_of(number: i64, num_bytes: usize) -> Option<DescriptorFormat> {
 }
 
 /// The entries in the bytes of a row.
-fn to_entries(format: DescriptorFormat, data: Vec<u8>) -> DescriptorEntries {
+pub(super) fn to_entries(format: DescriptorFormat, data: Vec<u8>) -> DescriptorEntries {
     if format.kind.has_floats() {
         let floats = data.as_chunks().0.iter().map(|bytes| f32::from_le_bytes(*bytes));
         DescriptorEntries::Floats(floats.collect())
@@ -51,7 +51,7 @@ fn to_entries(format: DescriptorFormat, data: Vec<u8>) -> DescriptorEntries {
 }
 
 /// Inverse of [`to_entries`].
-fn to_bytes(entries: &DescriptorEntries) -> Cow<'_, [u8]> {
+pub(super) fn to_bytes(entries: &DescriptorEntries) -> Cow<'_, [u8]> {
     match entries {
         DescriptorEntries::Bytes(bytes) => bytes.into(),
         DescriptorEntries::Floats(floats) => {

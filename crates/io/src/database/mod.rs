@@ -27,6 +27,8 @@ mod read_only;
 mod rigs;
 mod schema;
 mod stages;
+mod tile;
 
 pub use connection::{Database, DatabaseFrame};
 pub use stages::{StageRow, read_stage_rows};
+pub use tile::{TileReader, TileWriter};

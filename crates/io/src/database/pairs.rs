@@ -13,7 +13,7 @@ use super::stages::StageRow;
 use crate::binary::pose_numbers;
 use crate::{Result, rotation};
 
-const KINDS: [TwoViewKind; 9] = [
+pub(super) const KINDS: [TwoViewKind; 9] = [
     TwoViewKind::Undefined,
     TwoViewKind::Degenerate,
     TwoViewKind::Calibrated,
@@ -27,7 +27,7 @@ const KINDS: [TwoViewKind; 9] = [
 /// Configuration of COLMAP: the relative pose follows from a calibrated rig.
 const CALIBRATED_RIG: i64 = 9;
 
-fn match_bytes(matches: &[Match]) -> Vec<u8> {
+pub(super) fn match_bytes(matches: &[Match]) -> Vec<u8> {
     matches.iter().flat_map(|m| [m.a, m.b]).flat_map(u32::to_le_bytes).collect()
 }
 

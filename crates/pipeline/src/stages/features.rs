@@ -20,13 +20,15 @@ use tiepoint_sfm::geometry::numeric::median;
 use tiepoint_sfm::scene::{Camera, CameraId, Image, ImageId, Position, Reconstruction};
 use tiepoint_store::Error as StoreError;
 
+use crate::shard::Shard;
 use crate::stages::extraction::{extract_photo, memory_of};
 use crate::stages::option_keys;
 use crate::workspace::folder::TIMESTAMPS;
 use crate::workspace::records::Recipe;
 use crate::workspace::report::{CameraReport, FeaturesReport};
+use crate::workspace::shards::ShardReport;
 use crate::workspace::stage_run::{StageRequest, StageResult, StageRun};
-use crate::{Error, Event, Stage, Watch, Workspace};
+use crate::{Error, Event, Stage, Watch, Workspace, emit};
 
 /// Options of feature extraction.
 #[derive(Clone, Debug)]
@@ -125,26 +127,47 @@ pub(crate) fn extract_features_of(
     watch: Watch,
 ) -> Result<(), Error> {
     let photos = &photos.with_max_pixels(options.max_pixels);
-    let calibrations = Calibrations::read(&options.calibration_files, &photos.folder)?;
-    let (usable, skipped) = photos.survey(options.cameras, &calibrations)?;
-    let found =
-        FoundCameras::new(photos, &usable, &options.calibration, &calibrations, options.cameras)?;
-    let recipe = options.recipe(photos, &found)?;
-    let times = times(photos, &usable, options)?;
+    let (survey, recipe, skipped) = Survey::new(photos, options)?;
     let calibration_files = options.calibration_files.iter().map(|source| source.path.as_path());
     workspace
         .folder
         .protect(photos.files().chain(options.timestamps.as_deref()).chain(calibration_files));
     let inputs = Some(photos.inputs.clone());
-    let request = StageRequest { stage: Stage::Features, recipe, redo, inputs };
-    let cameras = found.cameras;
-    let positions = match options.keeps_positions {
-        true => positions(photos, &usable),
-        false => Vec::new(),
-    };
-    let survey = Survey { photos, usable, calibrations, cameras, times, positions };
+    let request = StageRequest { stage: Stage::Features, recipe: recipe.clone(), redo, inputs };
     check(workspace, &survey.scene())?;
-    workspace.run_stage(request, watch, |run| survey.extract(run, options, skipped))
+    workspace.run_stage(request, watch, |run| survey.extract(run, options, &recipe, skipped))
+}
+
+/// Extracts the features of a shard of the photos into its tile, from which
+/// [`extract_features`] with the same photos and options takes them. Photos that cannot be read
+/// are left to it.
+///
+/// # Errors
+///
+/// Those of [`extract_features`]; an existing tile is damaged or of other photos or options.
+pub fn extract_shard(
+    photos: &Photos,
+    workspace: &Workspace,
+    options: &FeatureOptions,
+    shard: Shard,
+    redo: Option<Stage>,
+    watch: Watch,
+) -> Result<ShardReport, Error> {
+    let photos = &photos.with_max_pixels(options.max_pixels);
+    let (survey, recipe, _) = Survey::new(photos, options)?;
+    let stage = Stage::Features;
+    workspace.run_shard(stage, (shard, &recipe), redo, watch, |tile, watch| {
+        let all: Vec<(ImageId, &Photo)> = survey.photos().collect();
+        let own = &all[shard.range(all.len())];
+        emit(watch, &Event::StageBegan { stage, total: own.len(), done: 0 })?;
+        survey.for_each_features(own, options, |id, image, found| match found {
+            Ok(features) => {
+                tile.write_features(id, &features)?;
+                emit(watch, &Event::ImageDone { image, keypoints: features.keypoints.len() })
+            }
+            Err(error) => emit(watch, &Event::ImageSkipped { image, reason: &error.to_string() }),
+        })
+    })
 }
 
 /// What is known of the photos before they are decoded.
@@ -159,7 +182,54 @@ struct Survey<'a> {
     positions: Vec<(ImageId, Position)>,
 }
 
-impl Survey<'_> {
+impl<'a> Survey<'a> {
+    /// Also the recipe of the stage, and the photos that cannot be used.
+    fn new(
+        photos: &'a Photos,
+        options: &FeatureOptions,
+    ) -> Result<(Self, Recipe, Vec<SkippedImage>), Error> {
+        let calibrations = Calibrations::read(&options.calibration_files, &photos.folder)?;
+        let (usable, skipped) = photos.survey(options.cameras, &calibrations)?;
+        let found = FoundCameras::new(
+            photos,
+            &usable,
+            &options.calibration,
+            &calibrations,
+            options.cameras,
+        )?;
+        let recipe = options.recipe(photos, &found)?;
+        let times = times(photos, &usable, options)?;
+        let cameras = found.cameras;
+        let positions = match options.keeps_positions {
+            true => positions(photos, &usable),
+            false => Vec::new(),
+        };
+        let survey = Self { photos, usable, calibrations, cameras, times, positions };
+        Ok((survey, recipe, skipped))
+    }
+
+    fn photos(&self) -> impl Iterator<Item = (ImageId, &Photo)> {
+        let photos = self.usable.iter().enumerate();
+        photos.map(|(index, photo)| (ImageId::from_index(index), photo))
+    }
+
+    /// Extracts the features of some photos. `take` gets them in order, with the name of the image.
+    fn for_each_features(
+        &self,
+        photos: &[(ImageId, &Photo)],
+        options: &FeatureOptions,
+        mut take: impl FnMut(ImageId, &str, Result<Features, Error>) -> Result<(), Error>,
+    ) -> Result<(), Error> {
+        let (extractor, folder) = (&*options.extractor, &self.photos.folder);
+        let work = |(_, photo): &(ImageId, &Photo)| {
+            extract_photo(extractor, folder, photo.index, options.max_size)
+        };
+        let bytes = |(_, photo): &(ImageId, &Photo)| memory_of(extractor, &photo.info);
+        for_each_within_budget(budget_bytes(), bytes, photos, work, |(id, photo), found| {
+            take(*id, self.photos.name(photo), found)
+        })
+    }
+
     /// The cameras, and the images with their times, without keypoints.
     fn scene(&self) -> Reconstruction {
         let mut scene = Reconstruction::default();
@@ -175,49 +245,51 @@ impl Survey<'_> {
         scene
     }
 
-    /// Extracts the features of the photos that have none yet.
+    /// Extracts the features of the photos that have none yet, or takes them from tiles.
     fn extract(
         &self,
         run: &mut StageRun,
         options: &FeatureOptions,
+        recipe: &Recipe,
         mut skipped: Vec<SkippedImage>,
     ) -> Result<StageResult, Error> {
+        // What is wrong with them is said before anything is replaced.
+        run.workspace.for_each_tile(Stage::Features, recipe, |_| Ok(()))?;
         let mut database = self.begin(run)?;
         let mut counts = database.keypoint_counts()?;
-        let tasks: Vec<(ImageId, &Photo)> = self
-            .usable
-            .iter()
-            .enumerate()
-            .filter(|(index, _)| counts[*index].is_none())
-            .map(|(index, photo)| (ImageId::from_index(index), photo))
-            .collect();
-        run.began(self.usable.len(), self.usable.len() - tasks.len())?;
+        let done = counts.iter().flatten().count();
+        run.began(self.usable.len(), done)?;
         let notes = self.notes();
         self.announce(run, options, &notes, &skipped)?;
-        let extractor = &*options.extractor;
-        let folder = &self.photos.folder;
-        let most = options.max_size;
-        let work =
-            |(_, photo): &(ImageId, &Photo)| extract_photo(extractor, folder, photo.index, most);
-        let bytes = |(_, photo): &(ImageId, &Photo)| memory_of(extractor, &photo.info);
-        let take = |(id, photo): &(ImageId, &Photo), found: Result<Features, Error>| {
-            let image = self.photos.name(photo);
+        let StageRun { workspace, watch, .. } = run;
+        let mut take = |counts: &mut [Option<usize>], id: ImageId, found| {
+            let image = || self.photos.name(&self.usable[id.index()]);
             match found {
                 Ok(features) => {
+                    database.write_features([(id, &features)])?;
                     let keypoints = features.keypoints.len();
-                    database.write_features([(*id, &features)])?;
                     counts[id.index()] = Some(keypoints);
-                    run.emit(&Event::ImageDone { image, keypoints })
+                    emit(watch, &Event::ImageDone { image: image(), keypoints })
                 }
                 Err(error) => {
-                    let reason = error.to_string();
-                    run.emit(&Event::ImageSkipped { image, reason: &reason })?;
+                    let (image, reason) = (image(), Error::to_string(&error));
+                    emit(watch, &Event::ImageSkipped { image, reason: &reason })?;
                     skipped.push(SkippedImage { image: image.to_owned(), reason });
                     Ok(())
                 }
             }
         };
-        let taken = for_each_within_budget(budget_bytes(), bytes, &tasks, work, take);
+        let of_tiles = workspace.for_each_tile(Stage::Features, recipe, |mut tile| {
+            while let Some((id, features)) = tile.next_features()? {
+                take(&mut counts, id, Ok(features))?;
+            }
+            Ok(())
+        });
+        let tasks: Vec<(ImageId, &Photo)> =
+            self.photos().filter(|(id, _)| counts[id.index()].is_none()).collect();
+        let taken = of_tiles.and_then(|()| {
+            self.for_each_features(&tasks, options, |id, _, found| take(&mut counts, id, found))
+        });
         let found: Vec<usize> = counts.into_iter().flatten().collect();
         if taken.is_err() || found.len() < 2 {
             database.close()?;

@@ -3,6 +3,7 @@
 
 use std::cell::RefCell;
 use std::collections::{BTreeMap, BTreeSet};
+use std::num::NonZeroUsize;
 use std::ops::ControlFlow;
 use std::path::PathBuf;
 
@@ -18,13 +19,15 @@ use tiepoint_sfm::geometry::OptionError;
 use tiepoint_sfm::rigs::{rig_candidates, rig_pairs};
 use tiepoint_sfm::scene::KnownRigs;
 use tiepoint_sfm::scene::{
-    Camera, CameraId, CorrespondenceGraph, Georeference, Image, ImageId, Reconstruction, TwoViewKind,
+    Camera, CameraId, CorrespondenceGraph, Georeference, Image, ImageId, Reconstruction,
+    TwoViewKind,
 };
 use tiepoint_sfm::two_view::VerifyOptions;
 use tiepoint_sfm::{
     self as sfm, ExistingPoses, Failure, MappedModel, Mapper, MapperOptions, OptionalStage, RigMode,
 };
 
+use crate::shard::Shard;
 use crate::stages::calibration_priors::{calibrations_of, set_calibration_priors};
 use crate::stages::checkpoint::{CheckpointFile, MAGIC, key_of};
 use crate::stages::colors::color_points;
@@ -35,6 +38,7 @@ use crate::stages::positions::{FoundPositions, Placed, PositionPriors, ScaleOf, 
 use crate::stages::rig_calibration::known_rigs;
 use crate::stages::rig_hints::why_no_rig;
 use crate::stages::scale::scale_to_baseline;
+use crate::stages::submaps::{Parts, Submaps};
 use crate::stages::unregistered::{gaps, unregistered_images};
 use crate::stages::warnings::warnings_of_models;
 use crate::workspace::database_scene::read_scene;
@@ -48,6 +52,7 @@ use crate::workspace::records::Recipe;
 use crate::workspace::report::{MapReport, ModelReport, PositionReport, ScaleReport};
 use crate::workspace::rig_file::RigFile;
 use crate::workspace::rig_report::RigReport;
+use crate::workspace::shards::ShardReport;
 use crate::workspace::sidecar::GeoreferenceFacts;
 use crate::workspace::stage_run::{StageRequest, StageResult, StageRun};
 use crate::workspace::warning::Warning;
@@ -79,6 +84,13 @@ pub struct MapOptions {
     /// Measured positions of the photos. The models are moved into their frame; in adjustments they
     /// take part if held-out ones say that it helps.
     pub position_priors: PositionPriors,
+    /// Whether the images are mapped in parts.
+    pub submaps: Submaps,
+    /// Memory for sub-maps, in bytes, which decides how many are mapped at once; `None`: half of
+    /// what is free. The result does not depend on it.
+    pub max_memory_bytes: Option<u64>,
+    /// Whether all sub-maps must be there ([`map_submap`]); else those that are missing are mapped.
+    pub merges_submaps: bool,
 }
 
 /// Value of [`MapOptions::calibration_sigma_px`] if none is given: an assumption, not an estimate.
@@ -106,15 +118,17 @@ pub fn map(
     let mut request = MapRequest::new(workspace, map_options, is_redone, watch)?;
     let recipe = Recipe::new(workspace.fingerprint(Stage::Match)?, request.take_texts());
     let fingerprint = recipe.fingerprint();
-    let stage = StageRequest { stage: Stage::Map, recipe, redo, inputs: None };
+    let stage = StageRequest { stage: Stage::Map, recipe: recipe.clone(), redo, inputs: None };
     workspace.run_stage(stage, watch, |run| {
         // Foreign files are detected before mapping. Old models stay until the new ones are
         // complete.
         let may_be_on_earth = request.positions.is_some() || request.input_model.is_some();
         let replaced = replaced_names(run.workspace, may_be_on_earth);
         run.workspace.folder.ensure_writable(replaced.iter().map(String::as_str))?;
-        let input = request.read(run)?;
+        let mut input = request.read(run.workspace, run.watch)?;
+        run.began(num_images(&input.scene), 0)?;
         request.check(run.workspace, &input)?;
+        input.submaps = request.submaps(run, &input, &recipe)?;
         let key = key_of(&fingerprint, &input.scene, &input.graph);
         let mapped = request.map(run, &input, key)?;
         request.finish(run, &input, mapped, replaced)
@@ -122,6 +136,50 @@ pub fn map(
     // What cannot be removed is not used.
     let _ = workspace.folder.remove_state(MAGIC);
     Ok(())
+}
+
+/// Maps a part of the images of a workspace that has matches into its tile, from which [`map`] with
+/// the same options takes it. The first part calibrates the cameras of the others, and comes first.
+///
+/// # Errors
+///
+/// Those of [`map`]; there is no part of this number; the first part is not mapped; an existing
+/// tile is damaged, or of other matches or options.
+pub fn map_submap(
+    workspace: &mut Workspace,
+    map_options: &MapOptions,
+    number: NonZeroUsize,
+    redo: Option<Stage>,
+    watch: Watch,
+) -> Result<ShardReport, Error> {
+    let (stage, is_redone) = (Stage::Map, redo == Some(Stage::Map));
+    let mut request = MapRequest::new(workspace, map_options, is_redone, watch)?;
+    let recipe = Recipe::new(workspace.fingerprint(Stage::Match)?, request.take_texts());
+    let input = request.read(workspace, watch)?;
+    request.check(workspace, &input)?;
+    let path = || workspace.root().to_owned();
+    let parts = request.parts(&input).ok_or_else(|| Error::NoSubmaps { path: path() })?;
+    let count = parts.count();
+    let shard = Shard::all(count).nth(number.get() - 1);
+    let shard = shard.ok_or_else(|| Error::NoSubmap { path: path(), number, count })?;
+    let first = Shard::all(count).next().filter(|first| *first != shard);
+    let first = match first {
+        Some(first) => {
+            let missing = || Error::MissingFirstSubmap { path: path() };
+            Some(workspace.state_of(first, &recipe)?.ok_or_else(missing)?)
+        }
+        None => None,
+    };
+    let name = |id| input.scene.image(id).name.as_str();
+    workspace.run_shard(stage, (shard, &recipe), redo, watch, |tile, watch| {
+        let total = parts.images(number.get() - 1);
+        emit(watch, &Event::StageBegan { stage, total, done: 0 })?;
+        let mut named = |event: &sfm::Event| {
+            named_event(event, &name).map_or(ControlFlow::Continue(()), |event| watch(&event))
+        };
+        let state = parts.map(number.get() - 1, first.as_deref(), &mut named)?;
+        Ok(tile.write_state(&state)?)
+    })
 }
 
 /// What a mapping is asked to do, with what the workspace decides.
@@ -134,6 +192,8 @@ struct MapRequest<'a> {
     /// Whether the features came with the database of another program.
     is_imported: bool,
     positions: Option<FoundPositions>,
+    /// The number of images of a sub-map; `None` for one map.
+    submap_size: Option<usize>,
 }
 
 /// What is mapped.
@@ -144,6 +204,8 @@ struct MapInput {
     positions: Option<ScenePositions>,
     /// Where on the earth the frame of the input model is.
     georeference: Option<Georeference>,
+    /// The states of sub-maps; none for one map.
+    submaps: Vec<Vec<u8>>,
 }
 
 /// What a run of the mapper has besides the input.
@@ -208,29 +270,59 @@ impl<'a> MapRequest<'a> {
         let positions = FoundPositions::read(workspace, &given.position_priors, is_redone, watch)?;
         let hash = positions.as_ref().map(FoundPositions::hash);
         texts.push(option_keys::position_priors_option(hash));
-        Ok(Self { given, options: mapper, input_model, texts, is_imported, positions })
+        let has_frame =
+            input_model.is_some() || rig_calibration.is_some() || mapper.rig == RigMode::Paper;
+        // What is wrong with a database is said where it is read.
+        let num_images = Database::open_read_only(&workspace.database());
+        let num_images = num_images.map_or(0, |database| database.num_images());
+        let submap_size = given.submaps.size(num_images, has_frame)?;
+        texts.push(option_keys::submaps_option(submap_size));
+        Ok(Self { given, options: mapper, input_model, texts, is_imported, positions, submap_size })
+    }
+
+    /// The parts of the images; `None` for one map.
+    fn parts<'i>(&'i self, input: &'i MapInput) -> Option<Parts<'i>> {
+        Parts::new(&input.graph, &input.scene, &self.options, self.submap_size?)
+    }
+
+    /// The states of all sub-maps, which are mapped unless they must be there.
+    fn submaps(
+        &self,
+        run: &mut StageRun,
+        input: &MapInput,
+        recipe: &Recipe,
+    ) -> Result<Vec<Vec<u8>>, Error> {
+        let MapOptions { merges_submaps, max_memory_bytes, .. } = *self.given;
+        let Some(parts) = self.parts(input) else {
+            let path = run.workspace.root().to_owned();
+            return if merges_submaps { Err(Error::NoSubmaps { path }) } else { Ok(Vec::new()) };
+        };
+        if merges_submaps {
+            run.workspace.require_tiles(Stage::Map, parts.count(), recipe)?;
+        }
+        parts.states(run.workspace, recipe, max_memory_bytes, run.watch)
     }
 
     fn take_texts(&mut self) -> Vec<(&'static str, String)> {
         std::mem::take(&mut self.texts)
     }
 
-    /// Reads what is mapped, and begins the stage.
-    fn read(&self, run: &mut StageRun) -> Result<MapInput, Error> {
+    /// Reads what is mapped, without sub-maps.
+    fn read(&self, workspace: &Workspace, watch: Watch) -> Result<MapInput, Error> {
         let &MapOptions { refine, refine_extrinsics, .. } = self.given;
-        let mut scene = load_scene(run.workspace)?;
+        let mut scene = load_scene(workspace)?;
         let mut calibrations = calibrations_of(&scene);
         let mut constant = BTreeSet::new();
         let refines = self.options.refine != RefineIntrinsics::NONE;
         if let Some(model) = &self.input_model {
             let keeps = model.fix_existing_frames && refine.is_none();
-            let existing = apply_input_model(&mut scene, model, refines && !keeps, run.watch)?;
+            let existing = apply_input_model(&mut scene, model, refines && !keeps, watch)?;
             if keeps {
                 constant = existing;
             }
         }
         let georeference = scene.georeference.take();
-        let graph = load_graph(run.workspace, &scene)?;
+        let graph = load_graph(workspace, &scene)?;
         let rig_calibration = self.given.rig_calibration.as_deref();
         let known_rigs = rig_calibration
             .map(|path| known_rigs(path, &mut scene, refine_extrinsics))
@@ -242,7 +334,7 @@ impl<'a> MapRequest<'a> {
             && let Some(image) = image_without_focal(&scene)
         {
             return Err(Error::UnknownFocal {
-                path: run.workspace.root().to_owned(),
+                path: workspace.root().to_owned(),
                 image: image.name.clone(),
             });
         }
@@ -258,8 +350,8 @@ impl<'a> MapRequest<'a> {
         }
         scene.calibrated.extend(constant);
         let positions = self.positions.as_ref().map(|found| found.of_scene(&scene)).transpose()?;
-        run.began(num_images(&scene), 0)?;
-        Ok(MapInput { scene, graph, known_rigs, positions, georeference })
+        let submaps = Vec::new();
+        Ok(MapInput { scene, graph, known_rigs, positions, georeference, submaps })
     }
 
     /// Checks that what is asked for can be estimated from this input.
@@ -385,8 +477,8 @@ impl<'a> MapRequest<'a> {
         };
         let folder = &run.workspace.folder;
         let mut checkpoints;
-        let mut mapper =
-            Mapper::new(graph, scene).descriptors(&mut descriptors).watch(&mut notified);
+        let mapper = Mapper::new(graph, scene).submaps(&input.submaps);
+        let mut mapper = mapper.descriptors(&mut descriptors).watch(&mut notified);
         match with {
             MapperWith::Checkpoints(key) => {
                 checkpoints = CheckpointFile::new(folder, key, num_images(scene), &pending);

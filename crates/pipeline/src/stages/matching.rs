@@ -9,7 +9,7 @@ use std::time::Instant;
 
 use rayon::prelude::*;
 use tiepoint_input::parallel::for_each_in_order;
-use tiepoint_io::database::Database;
+use tiepoint_io::database::{Database, TileReader, TileWriter};
 use tiepoint_io::features::{DescriptorFormat, Features};
 use tiepoint_sfm::convert::keypoint;
 use tiepoint_sfm::geometry::Rng;
@@ -19,6 +19,7 @@ use tiepoint_sfm::matching::{
 use tiepoint_sfm::scene::{Camera, Image, ImageId, ImagePair, Keypoint, Match, TwoView};
 use tiepoint_sfm::two_view::{ImageObservations, VerifyOptions};
 
+use crate::shard::Shard;
 use crate::stages::foreign_database::{
     has_imported_pairs, require_descriptors, verify_imported_pairs,
 };
@@ -29,6 +30,7 @@ use crate::stages::verification::{self, verify};
 use crate::workspace::option_names::PAIRS;
 use crate::workspace::records::Recipe;
 use crate::workspace::report::MatchReport;
+use crate::workspace::shards::ShardReport;
 use crate::workspace::stage_run::{StageRequest, StageResult};
 use crate::{Error, Event, Stage, Watch, Workspace, emit};
 
@@ -118,25 +120,21 @@ pub fn match_images(
     let options =
         &MatchOptions { pairs: resolved(options.pairs, workspace, redo)?, ..options.clone() };
     let recipe = options.recipe(input);
-    let request = StageRequest { stage: Stage::Match, recipe, redo, inputs: None };
+    let request = StageRequest { stage: Stage::Match, recipe: recipe.clone(), redo, inputs: None };
     workspace.run_stage(request, watch, |run| {
         let workspace = &mut *run.workspace;
+        // What is wrong with them is said before anything is replaced.
+        workspace.for_each_tile(Stage::Match, &recipe, |_| Ok(()))?;
         let mut database = Database::open(&workspace.database())?;
         require_descriptors(workspace, &database)?;
         if run.begins {
             database.clear_matches_for(&workspace.records.rows())?;
             workspace.note(|_| {})?;
         }
+        workspace.for_each_tile(Stage::Match, &recipe, |tile| take_pairs(&mut database, tile))?;
         let images = database.read_images()?;
+        note_on_auto(is_auto, &images, &database, run.watch)?;
         let MatchOptions { pairs, seed, .. } = *options;
-        let format = database.descriptor_format()?;
-        if is_auto && images.len() > AutoPairs::MAX_EXHAUSTIVE && format != DescriptorFormat::SIFT {
-            let what = format!(
-                "similar images are found by SIFT descriptors, and those of these images are \
-                {format}: all pairs are matched"
-            );
-            emit(run.watch, &Event::Noted { what: &what })?;
-        }
         let choice =
             pair_choice::choose_pairs_of_images(workspace, &database, &images, pairs, seed)?;
         let report = match_pairs(&mut database, choice, options, run.watch)?;
@@ -144,6 +142,107 @@ pub fn match_images(
         let report = removal.added_to(report, &database)?;
         Ok(StageResult::matches(database, report, removal.into_views()))
     })
+}
+
+/// Says that `auto` matches all pairs of many images.
+fn note_on_auto(
+    is_auto: bool,
+    images: &[Image],
+    database: &Database,
+    watch: Watch,
+) -> Result<(), Error> {
+    let format = database.descriptor_format()?;
+    if is_auto && images.len() > AutoPairs::MAX_EXHAUSTIVE && format != DescriptorFormat::SIFT {
+        let what = format!(
+            "similar images are found by SIFT descriptors, and those of these images are {format}: \
+            all pairs are matched"
+        );
+        emit(watch, &Event::Noted { what: &what })?;
+    }
+    Ok(())
+}
+
+/// Matches and verifies a shard of the pairs of a workspace that has features into its tile, from
+/// which [`match_images`] with the same options takes them. Each shard chooses the pairs of all.
+///
+/// # Errors
+///
+/// Those of [`match_images`]; the pairs came with the database of another program; an existing tile
+/// is damaged or of other features or options.
+pub fn match_shard(
+    workspace: &Workspace,
+    options: &MatchOptions,
+    shard: Shard,
+    redo: Option<Stage>,
+    watch: Watch,
+) -> Result<ShardReport, Error> {
+    options.verify.validate()?;
+    if has_imported_pairs(workspace, redo) {
+        return Err(Error::ImportedPairs { path: workspace.root().to_owned() });
+    }
+    let input = workspace.fingerprint(Stage::Features)?;
+    let options =
+        &MatchOptions { pairs: resolved(options.pairs, workspace, redo)?, ..options.clone() };
+    let recipe = options.recipe(input);
+    workspace.run_shard(Stage::Match, (shard, &recipe), redo, watch, |tile, watch| {
+        let database = Database::open_read_only(&workspace.database())?;
+        require_descriptors(workspace, &database)?;
+        let (cameras, images) = (database.read_cameras()?, database.read_images()?);
+        let MatchOptions { pairs, seed, .. } = *options;
+        let PairChoice { pairs, .. } =
+            pair_choice::choose_pairs_of_images(workspace, &database, &images, pairs, seed)?;
+        // By tiles of images, so that a shard has few of them.
+        let all = tiles(pairs.into_iter()).concat();
+        let own = &all[shard.range(all.len())];
+        let total = own.len();
+        emit(watch, &Event::StageBegan { stage: Stage::Match, total, done: 0 })?;
+        let matching = Matching { cameras: &cameras, images: &images, options };
+        let mut report = MatchReport::default();
+        let into = &mut Into::Tile { database: &database, tile };
+        let own = tiles(own.iter().copied());
+        matching.for_all(&own, &BTreeMap::new(), into, &mut report, watch)
+    })
+}
+
+/// Writes the pairs of a tile into a database.
+fn take_pairs(database: &mut Database, mut tile: TileReader) -> Result<(), Error> {
+    loop {
+        let mut batch = Vec::new();
+        while batch.len() < PAIRS_PER_TRANSACTION
+            && let Some(found) = tile.next_pair()?
+        {
+            batch.push(found);
+        }
+        if batch.is_empty() {
+            return Ok(());
+        }
+        write(database, &mut batch)?;
+    }
+}
+
+/// Where results of pairs are written, and the database that has the features.
+enum Into<'a> {
+    Database(&'a mut Database),
+    Tile { database: &'a Database, tile: &'a mut TileWriter },
+}
+
+impl Into<'_> {
+    fn database(&self) -> &Database {
+        match self {
+            Self::Database(database) => database,
+            Self::Tile { database, .. } => database,
+        }
+    }
+
+    /// Writes the pairs of a batch, and empties it.
+    fn write(&mut self, batch: &mut Vec<(ImagePair, Vec<Match>, TwoView)>) -> Result<(), Error> {
+        match self {
+            Self::Database(database) => write(database, batch),
+            Self::Tile { tile, .. } => batch
+                .drain(..)
+                .try_for_each(|(pair, matches, view)| Ok(tile.write_pair(pair, &matches, &view)?)),
+        }
+    }
 }
 
 /// Matches and verifies the pairs of a choice that have no matches in the database yet. Completed
@@ -171,31 +270,8 @@ pub fn match_pairs(
     let (total, done) = (all.len(), all.len() - pending.len());
     emit(watch, &Event::StageBegan { stage: Stage::Match, total, done })?;
 
-    let mut loaded = LoadedImages::new(&*options.matcher);
-    for pairs in &tiles {
-        loaded.load(database, pairs)?;
-        let batches = matching.batches(pairs);
-        let work = |pairs: &&[ImagePair]| matching.results(pairs, &first.found, &loaded);
-        let mut pending = Vec::new();
-        let take = |pairs: &&[ImagePair], found: Result<Vec<Found>, Error>| {
-            for (pair, (matches, two_view)) in pairs.iter().zip(found?) {
-                let (image1, image2) = (&images[pair.a.index()].name, &images[pair.b.index()].name);
-                let inliers = two_view.matches.len();
-                let event = Event::PairDone { image1, image2, matches: matches.len(), inliers };
-                count(&mut report, matches.len(), two_view.is_verified().then_some(inliers));
-                pending.push((*pair, matches, two_view));
-                if pending.len() >= PAIRS_PER_TRANSACTION {
-                    write(database, &mut pending)?;
-                }
-                emit(watch, &event)?;
-            }
-            Ok(())
-        };
-        let taken: Result<(), Error> = for_each_in_order(&batches, work, take);
-        // Completed pairs are kept when the callback stops the run.
-        write(database, &mut pending)?;
-        taken?;
-    }
+    let into = &mut Into::Database(database);
+    matching.for_all(&tiles, &first.found, into, &mut report, watch)?;
     report.selection = selection;
     report.expected_seconds = expected_s;
     Ok(report)
@@ -224,6 +300,45 @@ impl Matching<'_> {
     /// The batches that the matcher takes.
     fn batches<'p>(&self, pairs: &'p [ImagePair]) -> Vec<&'p [ImagePair]> {
         pairs.chunks(self.options.matcher.pairs_per_batch().max(1)).collect()
+    }
+
+    /// Matches and verifies the pairs of tiles, without those in `first`. Completed pairs are
+    /// written when the callback stops the run.
+    fn for_all(
+        &self,
+        tiles: &[Vec<ImagePair>],
+        first: &BTreeMap<ImagePair, Found>,
+        into: &mut Into,
+        report: &mut MatchReport,
+        watch: Watch,
+    ) -> Result<(), Error> {
+        let images = self.images;
+        let mut loaded = LoadedImages::new(&*self.options.matcher);
+        for pairs in tiles {
+            loaded.load(into.database(), pairs)?;
+            let batches = self.batches(pairs);
+            let work = |pairs: &&[ImagePair]| self.results(pairs, first, &loaded);
+            let mut pending = Vec::new();
+            let take = |pairs: &&[ImagePair], found: Result<Vec<Found>, Error>| {
+                for (pair, (matches, two_view)) in pairs.iter().zip(found?) {
+                    let [image1, image2] =
+                        [pair.a, pair.b].map(|image| &*images[image.index()].name);
+                    let inliers = two_view.matches.len();
+                    let event = Event::PairDone { image1, image2, matches: matches.len(), inliers };
+                    count(report, matches.len(), two_view.is_verified().then_some(inliers));
+                    pending.push((*pair, matches, two_view));
+                    if pending.len() >= PAIRS_PER_TRANSACTION {
+                        into.write(&mut pending)?;
+                    }
+                    emit(watch, &event)?;
+                }
+                Ok(())
+            };
+            let taken: Result<(), Error> = for_each_in_order(&batches, work, take);
+            into.write(&mut pending)?;
+            taken?;
+        }
+        Ok(())
     }
 
     /// Matches a random sample of the pairs. The results are the same as if the pairs were matched

@@ -103,6 +103,11 @@ pub(crate) fn position_priors_option(hash: Option<String>) -> (&'static str, Str
     (POSITION_PRIORS_KEY, or_none(hash))
 }
 
+/// The number of images of a sub-map.
+pub(crate) fn submaps_option(size: Option<usize>) -> (&'static str, String) {
+    ("mapper.submaps", or_none(size.map(|size| size.to_string())))
+}
+
 /// Options of the match stage. `pairs`: in the format of the command line, or
 /// [`PAIRS_OF_DATABASE`](crate::workspace::option_names::PAIRS_OF_DATABASE).
 pub(crate) fn matching_options(pairs: String, verify: &VerifyOptions, seed: u64) -> Texts {
@@ -448,7 +453,7 @@ mod tests {
             .chain([pixel_limit_option(DEFAULT_MAX_PIXELS), cameras_option(CameraGrouping::Auto)])
             .chain([calibration_files_option(&[]), calibration_sigma_option(None)])
             .chain(rig_calibration_options(None, false))
-            .chain([position_priors_option(None)])
+            .chain([position_priors_option(None), submaps_option(None)])
             .chain(mapping_options(&mapper, None))
             .chain(input_model_options("", false))
             .chain(database_options("", false))

@@ -151,6 +151,23 @@ pub fn open_input(
     Ok(OpenedInput { workspace, photos, timestamps: Some(times) })
 }
 
+/// Opens folders of photos, and the workspace at `root` for a shard of their features; creates it.
+///
+/// # Errors
+///
+/// There are videos, or fewer than two photos; the workspace cannot be opened or written.
+pub fn open_shared_input(
+    inputs: &[PathBuf],
+    masks: Option<&Path>,
+    root: &Path,
+) -> Result<OpenedInput, Error> {
+    if let Some(video) = videos(inputs)?.into_iter().next() {
+        return Err(Error::ShardOfVideo { path: video });
+    }
+    let photos = Photos::open(inputs, masks)?;
+    Ok(OpenedInput { workspace: Workspace::create_shared(root)?, photos, timestamps: None })
+}
+
 /// Opens the folder of the frames, and reads the source of the frames if they are complete.
 ///
 /// # Errors

@@ -57,6 +57,61 @@ impl Workspace {
     /// The folder holds foreign files with the names of a workspace's files or files of another
     /// format, another run uses it, or it cannot be written.
     pub fn create(root: &Path) -> Result<Self, Error> {
+        Self::check_folder(root)?;
+        let lock = lock(root, false)?;
+        let mut folder = OutputFolder::open(root)?;
+        folder.always_replaceable(&[STAGES]);
+        let database = root.join(DATABASE);
+        let mut log = database.as_os_str().to_owned();
+        log.push("-wal");
+        if Path::new(&log).exists()
+            && matches!(read_stage_rows(&database), Ok(Some(_)))
+            && let Ok(database) = Database::open(&database)
+        {
+            // Moves the write-ahead log of an interrupted run into the database.
+            database.close()?;
+        }
+        // Read now, because opening the folder may have completed an interrupted transaction.
+        let written = Records::read(&root.join(STAGES)).ok().flatten();
+        let records = current_records(root)?;
+        let mut this = Self { root: root.to_owned(), _lock: lock, folder, records };
+        if written.is_none_or(|written| written.to_json() != this.records.to_json()) {
+            this.repair()?;
+        }
+        Ok(this)
+    }
+
+    /// Opens or creates a workspace for a shard. Shards may use it at the same time, and no other
+    /// run. They change none of its files.
+    ///
+    /// # Errors
+    ///
+    /// Those of [`Workspace::create`].
+    pub fn create_shared(root: &Path) -> Result<Self, Error> {
+        if OutputFolder::is_unfinished(root) {
+            // Completes what an interrupted run has committed.
+            drop(Self::create(root)?);
+        }
+        Self::check_folder(root)?;
+        let lock = lock(root, true)?;
+        let folder = OutputFolder::open_shared(root)?;
+        Ok(Self { root: root.to_owned(), _lock: lock, folder, records: current_records(root)? })
+    }
+
+    /// [`Workspace::create_shared`] for an existing workspace.
+    ///
+    /// # Errors
+    ///
+    /// The folder is not a workspace, and those of [`Workspace::create_shared`].
+    pub fn open_shared(root: &Path) -> Result<Self, Error> {
+        if !is_workspace(root) {
+            return Err(Error::NoWorkspace { path: root.to_owned() });
+        }
+        Self::create_shared(root)
+    }
+
+    /// Checks that a folder is a workspace, or can become one; creates it.
+    fn check_folder(root: &Path) -> Result<(), Error> {
         disk::create_folders(root).map_err(Error::output(root))?;
         // The files that are written in place, and not replaced by a transaction.
         for name in [LOCK, DATABASE].map(|name| root.join(name)) {
@@ -81,26 +136,7 @@ impl Workspace {
                 return Err(Error::ForeignWorkspace { path: root.to_owned(), found });
             }
         }
-        let lock = lock(root)?;
-        let mut folder = OutputFolder::open(root)?;
-        folder.always_replaceable(&[STAGES]);
-        let mut log = database.as_os_str().to_owned();
-        log.push("-wal");
-        if Path::new(&log).exists()
-            && matches!(read_stage_rows(&database), Ok(Some(_)))
-            && let Ok(database) = Database::open(&database)
-        {
-            // Moves the write-ahead log of an interrupted run into the database.
-            database.close()?;
-        }
-        // Read now, because opening the folder may have completed an interrupted transaction.
-        let written = Records::read(&root.join(STAGES)).ok().flatten();
-        let records = current_records(root)?;
-        let mut this = Self { root: root.to_owned(), _lock: lock, folder, records };
-        if written.is_none_or(|written| written.to_json() != this.records.to_json()) {
-            this.repair()?;
-        }
-        Ok(this)
+        Ok(())
     }
 
     /// Opens an existing workspace.
@@ -378,15 +414,15 @@ pub(crate) fn current_records(root: &Path) -> Result<Records, Error> {
     Ok(records)
 }
 
-fn lock(root: &Path) -> Result<File, Error> {
+fn lock(root: &Path, is_shared: bool) -> Result<File, Error> {
     let path = root.join(LOCK);
     if fs::metadata(&path).is_ok_and(|found| !found.is_file()) {
         return Err(StoreError::ForeignFile { path }.into());
     }
     // Not truncated: an existing file keeps its content.
-    let lock = OpenOptions::new().create(true).truncate(false).write(true).open(&path);
+    let lock = OpenOptions::new().create(true).truncate(false).read(true).write(true).open(&path);
     let lock = lock.map_err(Error::output(&path))?;
-    match lock.try_lock() {
+    match if is_shared { lock.try_lock_shared() } else { lock.try_lock() } {
         Ok(()) => Ok(lock),
         Err(TryLockError::WouldBlock) => Err(StoreError::InUse { path: root.to_owned() }.into()),
         Err(TryLockError::Error(cause)) => Err(StoreError::Output { path, cause }.into()),

@@ -15,6 +15,7 @@ pub(crate) mod records;
 pub(crate) mod report;
 pub(crate) mod rig_file;
 pub(crate) mod rig_report;
+pub(crate) mod shards;
 pub(crate) mod sidecar;
 pub(crate) mod stage_run;
 pub(crate) mod unregistered;
@@ -35,6 +36,7 @@ pub use report::{
 };
 pub use rig_file::{ConstraintKind, RigCamera, RigClock, RigClockState, RigFile};
 pub use rig_report::{ExtrinsicsReport, PaperReport, RigCameraReport, RigReport, SplitReport};
+pub use shards::ShardReport;
 pub use unregistered::{NearestImage, Reason, UnregisteredImage, why_unregistered};
 pub use verdict::verdict;
 pub use warning::{ModelGap, ScaledImage, Warning};

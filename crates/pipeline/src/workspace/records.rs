@@ -61,7 +61,7 @@ impl Recipe {
 
     /// Difference between this recorded recipe and the one that is asked for, as the end of the
     /// sentence "they were made …"; `None` if they are equal.
-    fn difference(&self, asked: &Self, stage: Stage) -> Option<String> {
+    pub(crate) fn difference(&self, asked: &Self, stage: Stage) -> Option<String> {
         // What was found follows from the photos and the other options.
         let keys: BTreeSet<&String> = self.options.keys().chain(asked.options.keys()).collect();
         let changed = keys
@@ -228,6 +228,20 @@ impl Records {
         self.forget_from(stage);
         self.stages.insert(stage, Record { is_complete: false, recipe: recipe.clone() });
         Ok(Progress::Begin)
+    }
+
+    /// Whether a stage is complete with a recipe.
+    ///
+    /// # Errors
+    ///
+    /// The stage was run with another recipe.
+    pub(crate) fn is_kept(
+        &self,
+        workspace: &Path,
+        stage: Stage,
+        recipe: &Recipe,
+    ) -> Result<bool, Error> {
+        Ok(self.clone().begin(workspace, stage, recipe, None)? == Progress::Kept)
     }
 
     /// Removes the records of a stage and of the later ones.

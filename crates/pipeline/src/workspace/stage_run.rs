@@ -10,12 +10,14 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::time::Instant;
 
-use tiepoint_io::database::Database;
+use tiepoint_io::database::{Database, TileWriter};
 use tiepoint_sfm::scene::{ImagePair, TwoView};
 
 use super::folder::Workspace;
 use super::records::{Progress, Recipe};
 use super::report::{FeaturesReport, MatchReport, Report};
+use super::shards::{ShardReport, ShardWork};
+use crate::shard::Shard;
 use crate::{Error, Event, Stage, Watch, emit};
 
 /// A stage that is to be run.
@@ -124,6 +126,8 @@ impl Workspace {
         let inputs_before = std::mem::replace(&mut self.records.inputs, inputs);
         let progress = self.begin(stage, &recipe, redo)?;
         if progress == Progress::Kept {
+            // A run that was killed may have left them.
+            self.remove_tiles(stage)?;
             if self.records.inputs != inputs_before {
                 // The photos have moved, and exports need their paths.
                 self.note(|_| {})?;
@@ -144,6 +148,35 @@ impl Workspace {
             database.write_two_views_for(two_views, &self.records.rows())?;
             database.close()?;
         }
+        self.remove_tiles(stage)?;
         emit(watch, &Event::StageDone { stage, seconds })
+    }
+
+    /// Runs a shard of a stage, unless an earlier run did. `work` fills its tile.
+    ///
+    /// # Errors
+    ///
+    /// Those of [`Workspace::begin_shard`] and of `work`; the tile cannot be written; `watch`
+    /// returns `Break`.
+    pub(crate) fn run_shard(
+        &self,
+        stage: Stage,
+        (shard, recipe): (Shard, &Recipe),
+        redo: Option<Stage>,
+        watch: Watch,
+        work: impl FnOnce(&mut TileWriter, Watch) -> Result<(), Error>,
+    ) -> Result<ShardReport, Error> {
+        let (mut tile, report) = match self.begin_shard(stage, shard, recipe, redo)? {
+            ShardWork::Begin(tile, report) => (tile, report),
+            ShardWork::Kept(report) => {
+                emit(watch, &Event::StageKept { stage })?;
+                return Ok(report);
+            }
+        };
+        let start = Instant::now();
+        work(&mut tile, &mut *watch)?;
+        tile.finish()?;
+        emit(watch, &Event::StageDone { stage, seconds: start.elapsed().as_secs_f64() })?;
+        Ok(report)
     }
 }

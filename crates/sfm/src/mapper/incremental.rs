@@ -1,6 +1,6 @@
 //! One model for each connected component of the image graph.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeSet, VecDeque};
 
 use tiepoint_adjust::{FocalPrior, Term};
 use tiepoint_scene::{CorrespondenceGraph, ImageId, Reconstruction};
@@ -11,6 +11,7 @@ use super::growth::Growth;
 use super::input::Input;
 use super::join::registered;
 use super::refiner::Refiner;
+use super::solution::Solution;
 use crate::Error;
 use crate::event::Watch;
 use crate::mapped_model::MappedModel;
@@ -42,25 +43,32 @@ pub(super) fn initial_focal_lengths(
     focal_priors(scene, &found)
 }
 
-/// Maps the images that are not in `mapped_images`, and returns all models, `models` first.
+/// Maps the images that are not in `mapped_images`, and returns all models, `models` first. Those
+/// of `starts`, assembled from sub-maps, grow on before others begin.
 pub(super) fn map_rest(
     input: Input,
-    mut models: Vec<MappedModel>,
-    mut mapped_images: BTreeSet<ImageId>,
+    starts: &[Solution],
+    (mut models, mut mapped_images): (Vec<MappedModel>, BTreeSet<ImageId>),
     terms: &mut [&mut dyn Term],
     descriptors: &mut Descriptors,
     watch: &mut Watch,
     checkpoints: &mut Checkpoints,
 ) -> Result<Vec<MappedModel>, Error> {
+    let mut starts: VecDeque<&Solution> = starts.iter().collect();
+    // Those that an earlier run has finished.
+    starts.retain(|start| registered(&start.model).is_disjoint(&mapped_images));
     loop {
         checkpoints.begin(input, &models, &mapped_images, Step::Grow);
         let refiner = Refiner::new(input, input.scene.clone(), reborrow(terms));
-        let growth = Growth::new(refiner, mapped_images.clone());
-        let mapped = match map_component(growth, descriptors, watch, checkpoints) {
+        let start = starts.pop_front();
+        let others = starts.iter().flat_map(|start| registered(&start.model));
+        let growth = Growth::new(refiner, others.chain(mapped_images.iter().copied()).collect());
+        let mapped = match map_component(growth, start, descriptors, watch, checkpoints) {
             Ok(mapped) => mapped,
-            Err(error) if models.is_empty() || matches!(error, Error::Cancelled) => {
-                return Err(error);
-            }
+            Err(Error::Cancelled) => return Err(Error::Cancelled),
+            // Its images begin anew.
+            Err(_) if start.is_some() => continue,
+            Err(error) if models.is_empty() => return Err(error),
             // The remaining images cannot be mapped. The earlier models are kept.
             Err(_) => break,
         };
@@ -77,19 +85,28 @@ pub(super) fn map_rest(
     Ok(models)
 }
 
-/// Maps one connected component.
+/// Maps one connected component, or grows a model on.
 fn map_component(
     mut growth: Growth,
+    start: Option<&Solution>,
     descriptors: &mut Descriptors,
     watch: &mut Watch,
     checkpoints: &mut Checkpoints,
 ) -> Result<MappedModel, Error> {
     if checkpoints.resumed.is_none() {
-        let candidates = growth.candidates();
-        match growth.best_initial_pair(&candidates) {
-            Some(pair) => growth.initialise(&[pair], watch)?,
-            None => growth.initialise(&candidates, watch)?,
-        };
+        match start {
+            Some(start) => growth.refiner.solution = start.clone(),
+            None => initialise(&mut growth, watch)?,
+        }
     }
     growth.finish(descriptors, watch, checkpoints)
+}
+
+/// Begins a model with its best initial pair.
+pub(super) fn initialise(growth: &mut Growth, watch: &mut Watch) -> Result<(), Error> {
+    let candidates = growth.candidates();
+    match growth.best_initial_pair(&candidates) {
+        Some(pair) => growth.initialise(&[pair], watch).map(drop),
+        None => growth.initialise(&candidates, watch).map(drop),
+    }
 }

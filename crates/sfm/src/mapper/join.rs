@@ -145,7 +145,7 @@ fn refined(trial: Input, model: Reconstruction) -> Option<Reconstruction> {
 }
 
 /// The smaller model with the cameras that it has in common with the larger one as these are there.
-fn with_cameras_of(
+pub(super) fn with_cameras_of(
     trial: Input,
     one: &Reconstruction,
     mut model: Reconstruction,
@@ -206,7 +206,12 @@ fn detected(input: Input, mut model: Reconstruction) -> Reconstruction {
 }
 
 /// Whether most of the verified matches of these pairs agree with the poses.
-fn agrees(input: Input, model: &Reconstruction, pairs: &[ImagePair], max_error_px: f64) -> bool {
+pub(super) fn agrees(
+    input: Input,
+    model: &Reconstruction,
+    pairs: &[ImagePair],
+    max_error_px: f64,
+) -> bool {
     let mut sum = Agreement::default();
     for &pair in pairs {
         let pose = |image| model.image(image).cam_from_world();

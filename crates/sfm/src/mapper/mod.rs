@@ -19,11 +19,11 @@ mod run;
 mod solution;
 mod stages;
 mod start;
+mod submap;
 mod support;
 mod term_frame;
 #[cfg(test)]
 mod test_scene;
-mod transaction;
 mod uncertain_focal_lengths;
 
 pub use checkpoint::CheckpointStore;

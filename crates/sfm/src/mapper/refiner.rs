@@ -196,6 +196,23 @@ impl<'a> Refiner<'a> {
         self.existing.and_then(Existing::constant_poses)
     }
 
+    /// Runs `work` and restores the solution if it fails. The error of `work` is the inner one;
+    /// [`Error::Cancelled`] is the outer one.
+    pub(super) fn transaction<T>(
+        &mut self,
+        work: impl FnOnce(&mut Self) -> Result<T, Error>,
+    ) -> Result<Result<T, Error>, Error> {
+        let before = self.solution.clone();
+        match work(self) {
+            Err(Error::Cancelled) => Err(Error::Cancelled),
+            Err(error) => {
+                self.solution = before;
+                Ok(Err(error))
+            }
+            Ok(done) => Ok(Ok(done)),
+        }
+    }
+
     /// Whether there are known rigs whose extrinsics are constant.
     pub(super) fn has_constant_rigs(&self) -> bool {
         self.input.known_rigs.is_some_and(|known| !known.refine_extrinsics)

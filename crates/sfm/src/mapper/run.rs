@@ -1,5 +1,6 @@
 //! The entry to the mapper.
 
+use std::collections::BTreeSet;
 use std::ops::ControlFlow;
 
 use tiepoint_adjust::Term;
@@ -12,6 +13,7 @@ use super::incremental::{initial_focal_lengths, map_rest, without_model};
 use super::input::Input;
 use super::join::{join_models, registered, sort_by_size};
 use super::merge::merge_rig_models;
+use super::submap::{assembled, map_part};
 use crate::Error;
 use crate::event::{Event, Watch};
 use crate::mapped_model::MappedModel;
@@ -23,6 +25,7 @@ pub struct Mapper<'a> {
     graph: &'a CorrespondenceGraph,
     scene: &'a Reconstruction,
     existing: Option<ExistingPoses>,
+    submaps: &'a [Vec<u8>],
     known_rigs: Option<&'a KnownRigs>,
     terms: Vec<&'a mut dyn Term>,
     descriptors: Option<&'a mut Descriptors<'a>>,
@@ -38,6 +41,7 @@ impl<'a> Mapper<'a> {
             graph,
             scene,
             existing: None,
+            submaps: &[],
             known_rigs: None,
             terms: Vec::new(),
             descriptors: None,
@@ -56,6 +60,38 @@ impl<'a> Mapper<'a> {
     /// poses of the existing images closest to where they were.
     pub fn existing(self, poses: ExistingPoses) -> Self {
         Self { existing: Some(poses), ..self }
+    }
+
+    /// Goes on from the models of parts of the images, which [`Mapper::submap`] made with the same
+    /// scene and options. They are assembled by the images that they have in common.
+    pub fn submaps(self, states: &'a [Vec<u8>]) -> Self {
+        Self { submaps: states, ..self }
+    }
+
+    /// Grows models of some images, for [`Mapper::submaps`]: a part of
+    /// [`crate::submaps::cut`]. Returns their state, which is empty but for a count if no model
+    /// begins. Only the graph, the scene and the watch take part, and of the graph and the
+    /// keypoints only those of the part.
+    ///
+    /// `first`: the state of the part that calibrates the cameras of all others; `None` for that
+    /// part itself.
+    ///
+    /// # Errors
+    ///
+    /// An option is out of its range; [`Error::Cancelled`] if the watch asks to stop.
+    pub fn submap(
+        self,
+        images: &BTreeSet<ImageId>,
+        first: Option<&[u8]>,
+        options: &MapperOptions,
+    ) -> Result<Vec<u8>, Error> {
+        options.validate()?;
+        let mut go_on = |_: &Event| ControlFlow::Continue(());
+        let watch: &mut Watch = match self.watch {
+            Some(watch) => watch,
+            None => &mut go_on,
+        };
+        map_part(self.graph, self.scene, images, first, options, watch)
     }
 
     /// Rigs whose extrinsics are known; their frames are registered as a whole. The models have the
@@ -96,6 +132,20 @@ impl<'a> Mapper<'a> {
         Self { checkpoints: Some(store), ..self }
     }
 
+    /// Checks the options, and that at most one input gives the frame.
+    fn check(&self, options: &MapperOptions) -> Result<(), Error> {
+        options.validate()?;
+        let (is_extended, has_rigs) = (self.existing.is_some(), self.known_rigs.is_some());
+        if is_extended && has_rigs {
+            return Err(Error::RigsOfExistingModel);
+        }
+        let has_frame = is_extended || has_rigs || options.rig == RigMode::Paper;
+        if !self.submaps.is_empty() && has_frame {
+            return Err(Error::SubmapsWithFrame);
+        }
+        Ok(())
+    }
+
     /// Maps all images. Each connected component gives a model; the model with the most images
     /// comes first.
     ///
@@ -105,12 +155,9 @@ impl<'a> Mapper<'a> {
     /// fails; [`Error::NothingToExtend`] if the existing images have no points in common after
     /// triangulation; [`Error::Cancelled`] if the watch asks to stop.
     pub fn run(self, options: &MapperOptions) -> Result<Vec<MappedModel>, Error> {
-        options.validate()?;
-        let Self { graph, scene, existing, known_rigs, mut terms, .. } = self;
+        self.check(options)?;
+        let Self { graph, scene, existing, submaps, known_rigs, mut terms, .. } = self;
         let Self { descriptors, watch, checkpoints, .. } = self;
-        if existing.is_some() && known_rigs.is_some() {
-            return Err(Error::RigsOfExistingModel);
-        }
         let (mut nothing, mut go_on) =
             (|_: ImageId| Default::default(), |_: &Event| ControlFlow::Continue(()));
         let descriptors: &mut Descriptors = match descriptors {
@@ -148,10 +195,11 @@ impl<'a> Mapper<'a> {
                 mapped_images = registered(&first.reconstruction);
                 models.push(first);
             }
+            let starts = assembled(input, submaps).ok_or(Error::OtherSubmaps)?;
             models = map_rest(
                 input,
-                models,
-                mapped_images,
+                &starts,
+                (models, mapped_images),
                 &mut terms,
                 descriptors,
                 watch,

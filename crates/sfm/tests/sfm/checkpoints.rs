@@ -2,10 +2,11 @@
 //! bit for bit, and the last one to the models: so any chain of kills ends there.
 
 use std::cell::Cell;
+use std::collections::BTreeSet;
 use std::ops::ControlFlow;
 
 use tiepoint_geometry::Rng;
-use tiepoint_scene::{CorrespondenceGraph, KnownRigs, Reconstruction};
+use tiepoint_scene::{CorrespondenceGraph, ImageId, KnownRigs, Reconstruction};
 use tiepoint_sfm::adjust::RefineIntrinsics;
 use tiepoint_sfm::rolling_shutter::Readout;
 use tiepoint_sfm::{
@@ -15,7 +16,7 @@ use tiepoint_synth::{
     Drive, DriveOptions, Effects, FeatureOptions, FeatureScene, MatchOptions, Mount, ViewDirection,
 };
 
-use crate::{known_rigs, one_model, rig};
+use crate::{known_rigs, one_model, rig, submaps};
 
 /// Damaged states that are tried.
 const DAMAGED: usize = 60;
@@ -26,6 +27,7 @@ struct Setup {
     scene: Reconstruction,
     existing: Option<ExistingPoses>,
     known_rigs: Option<KnownRigs>,
+    submaps: Vec<Vec<u8>>,
     options: MapperOptions,
 }
 
@@ -69,7 +71,8 @@ struct Run {
 impl Setup {
     fn of(graph: CorrespondenceGraph, scene: Reconstruction) -> Self {
         let options = MapperOptions { refine: RefineIntrinsics::NONE, ..MapperOptions::default() };
-        Self { graph, scene, existing: None, known_rigs: None, options }
+        let submaps = Vec::new();
+        Self { graph, scene, existing: None, known_rigs: None, submaps, options }
     }
 
     /// `until_kept`: the run ends at the next event after it has kept a state.
@@ -87,7 +90,7 @@ impl Setup {
     }
 
     fn mapper(&self) -> Mapper<'_> {
-        let mut mapper = Mapper::new(&self.graph, &self.scene);
+        let mut mapper = Mapper::new(&self.graph, &self.scene).submaps(&self.submaps);
         if let Some(poses) = self.existing {
             mapper = mapper.existing(poses);
         }
@@ -180,6 +183,23 @@ fn an_extended_model_goes_on_from_each_state() {
         setup.existing = Some(poses);
         setup.check();
     }
+}
+
+/// Assembled sub-maps: of a drive, and of halves that stay apart until they are grown on.
+#[test]
+fn assembled_sub_maps_go_on_from_each_state() {
+    let mut setup = street(12);
+    setup.submaps = submaps::states_of(&setup.graph, &setup.scene, 14, &setup.options);
+    setup.check();
+    let walk = one_model::corner(0, one_model::HALF - 1..one_model::HALF);
+    let mut setup = Setup::of(walk.graph, walk.truth);
+    let half = |is_second: bool| -> BTreeSet<ImageId> {
+        let images = setup.scene.images().map(|(id, _)| id);
+        images.filter(|id| (id.index() >= one_model::HALF) == is_second).collect()
+    };
+    let map = |images| setup.mapper().submap(images, None, &setup.options).unwrap();
+    setup.submaps = vec![map(&half(false)), map(&half(true))];
+    setup.check();
 }
 
 /// States that are cut or changed are refused, or lead to some model; states of other images are

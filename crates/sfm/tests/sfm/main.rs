@@ -19,5 +19,6 @@ mod positions;
 mod repetition;
 mod rig;
 mod shutter;
+mod submaps;
 mod terms;
 mod unregistered;

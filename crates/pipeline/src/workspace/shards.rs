@@ -1,0 +1,277 @@
+//! Shards: parts of a stage that are processes of their own, on one machine or on many with a
+//! shared folder.
+//!
+//! Each writes one tile into a hidden folder of the workspace, and nothing else. The stage itself,
+//! without a shard, takes the tiles of all shards into the database and removes them when it is
+//! complete. Until then the tiles are the result.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::path::PathBuf;
+
+use serde::{Deserialize, Serialize};
+use tiepoint_io::database::{TileReader, TileWriter};
+use tiepoint_store::Error as StoreError;
+
+use crate::shard::Shard;
+use crate::workspace::folder::Workspace;
+use crate::workspace::records::Recipe;
+use crate::{Error, Stage};
+
+/// Folder of the tiles.
+pub(crate) const TILES: &str = ".tiepoint-tiles";
+
+/// The tile of a shard.
+fn tile_name(stage: Stage, shard: Shard) -> String {
+    format!("{TILES}/{stage}-{}-of-{}", shard.number, shard.count)
+}
+
+/// The shard that a file in the folder of the tiles has by its name.
+fn shard_of(name: &str, stage: Stage) -> Option<Shard> {
+    let numbers = name.strip_prefix(stage.name())?.strip_prefix('-')?;
+    numbers.replacen("-of-", "/", 1).parse().ok()
+}
+
+/// What a process that ran a shard says of it.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct ShardReport {
+    /// The stage.
+    pub stage: Stage,
+    /// As `2/8`.
+    pub shard: String,
+    /// The tile; `None` if the stage is complete without it.
+    pub tile: Option<PathBuf>,
+    /// Whether an earlier run did the work.
+    pub is_kept: bool,
+}
+
+/// The text at the begin of a tile.
+#[derive(Debug, PartialEq, Serialize, Deserialize)]
+struct Label {
+    /// The version of the program.
+    version: String,
+    stage: Stage,
+    shard: String,
+    recipe: Recipe,
+}
+
+impl Label {
+    fn new(stage: Stage, shard: Shard, recipe: &Recipe) -> Self {
+        let version = env!("CARGO_PKG_VERSION").to_owned();
+        Self { version, stage, shard: shard.to_string(), recipe: recipe.clone() }
+    }
+
+    /// Why a tile with this label is not the one with another; `None` if it is.
+    fn why_not(&self, asked: &Self) -> Option<String> {
+        if self.version != asked.version {
+            return Some(format!("was made by version {}", self.version));
+        }
+        if (self.stage, &self.shard) != (asked.stage, &asked.shard) {
+            return Some(format!("is a copy of shard {} of {}", self.shard, self.stage));
+        }
+        let difference = self.recipe.difference(&asked.recipe, self.stage);
+        // What was found of the cameras follows from the photos.
+        let is_other = self.recipe != asked.recipe;
+        let how = difference.or_else(|| is_other.then(|| "from other photos".to_owned()))?;
+        Some(format!("was made {how}"))
+    }
+}
+
+/// What there is of a shard.
+pub(crate) enum ShardWork {
+    /// Nothing is left to do.
+    Kept(ShardReport),
+    /// The tile that is to be written, and what is said of it then.
+    Begin(Box<TileWriter>, ShardReport),
+}
+
+impl Workspace {
+    /// Begins the tile of a shard, unless an earlier run completed the shard or the whole stage.
+    ///
+    /// # Errors
+    ///
+    /// The stage was run with another recipe; an existing tile is damaged or of another recipe, and
+    /// `redo` does not name the stage; the tile cannot be written.
+    pub(crate) fn begin_shard(
+        &self,
+        stage: Stage,
+        shard: Shard,
+        recipe: &Recipe,
+        redo: Option<Stage>,
+    ) -> Result<ShardWork, Error> {
+        let is_redone = redo == Some(stage);
+        let name = tile_name(stage, shard);
+        let tile = Some(self.root().join(&name));
+        let report = ShardReport { stage, shard: shard.to_string(), tile, is_kept: false };
+        let kept = |tile| ShardWork::Kept(ShardReport { tile, is_kept: true, ..report.clone() });
+        if !is_redone && self.records.is_kept(self.root(), stage, recipe)? {
+            return Ok(kept(None));
+        }
+        if !is_redone && self.tile_of(stage, shard, recipe)?.is_some() {
+            return Ok(kept(report.tile.clone()));
+        }
+        let tile = self.new_tile(stage, shard, recipe)?;
+        Ok(ShardWork::Begin(Box::new(tile), report))
+    }
+
+    /// Begins the tile of a shard, in place of one that there is.
+    ///
+    /// # Errors
+    ///
+    /// It cannot be written.
+    pub(crate) fn new_tile(
+        &self,
+        stage: Stage,
+        shard: Shard,
+        recipe: &Recipe,
+    ) -> Result<TileWriter, Error> {
+        let folder = self.folder.folder();
+        folder.create_folders(TILES).map_err(StoreError::output(&folder.join(TILES)))?;
+        let label = Label::new(stage, shard, recipe);
+        let text = serde_json::to_vec(&label).expect("texts have a JSON form");
+        Ok(TileWriter::create(folder, &tile_name(stage, shard), &text)?)
+    }
+
+    /// The tile of a shard; `None` if there is none.
+    ///
+    /// # Errors
+    ///
+    /// It cannot be read, is damaged, or is of another recipe.
+    pub(crate) fn tile_of(
+        &self,
+        stage: Stage,
+        shard: Shard,
+        recipe: &Recipe,
+    ) -> Result<Option<TileReader>, Error> {
+        if !self.folder.folder().has(tile_name(stage, shard)) {
+            return Ok(None);
+        }
+        self.tile(stage, shard, &Label::new(stage, shard, recipe)).map(Some)
+    }
+
+    /// Opens the tile of a shard.
+    ///
+    /// # Errors
+    ///
+    /// It cannot be read, is damaged, or has another label.
+    fn tile(&self, stage: Stage, shard: Shard, label: &Label) -> Result<TileReader, Error> {
+        let folder = self.folder.folder();
+        let name = tile_name(stage, shard);
+        let wrong = |why: String| Error::Tile { path: folder.join(&name), stage, shard, why };
+        let damaged = || wrong("is damaged".to_owned());
+        let found = TileReader::open(folder, &name)?.ok_or_else(damaged)?;
+        let found_label: Label = serde_json::from_slice(found.text()).map_err(|_| damaged())?;
+        match found_label.why_not(label) {
+            Some(why) => Err(wrong(why)),
+            None => Ok(found),
+        }
+    }
+
+    /// The shards of a stage that have tiles.
+    fn with_tiles(&self, stage: Stage) -> BTreeSet<Shard> {
+        let entries = fs::read_dir(self.root().join(TILES)).into_iter().flatten().flatten();
+        let names = entries.filter_map(|entry| entry.file_name().into_string().ok());
+        names.filter_map(|name| shard_of(&name, stage)).collect()
+    }
+
+    /// The shards of a stage that have tiles: none, or all that there are.
+    ///
+    /// # Errors
+    ///
+    /// Some shards have none, or there are tiles of different numbers of shards.
+    fn shards(&self, stage: Stage) -> Result<Vec<Shard>, Error> {
+        let path = self.root().join(TILES);
+        let found = self.with_tiles(stage);
+        let counts: BTreeMap<usize, usize> =
+            found.iter().fold(BTreeMap::new(), |mut counts, shard| {
+                *counts.entry(shard.count).or_default() += 1;
+                counts
+            });
+        let mut counts = counts.into_iter();
+        let Some((count, there)) = counts.next() else { return Ok(Vec::new()) };
+        if let Some((other, _)) = counts.next() {
+            return Err(Error::TwoDivisions { path, stage, counts: [count, other] });
+        }
+        if there < count {
+            let mut all = Shard::all(count);
+            let first = all.find(|shard| !found.contains(shard));
+            let shard = first.expect("fewer are there than there are");
+            return Err(Error::MissingShard { path, shard, stage, there });
+        }
+        Ok(found.into_iter().collect())
+    }
+
+    /// Checks that all of a number of shards have tiles of a recipe.
+    ///
+    /// # Errors
+    ///
+    /// One has none, or one that is damaged or of another recipe.
+    pub(crate) fn require_tiles(
+        &self,
+        stage: Stage,
+        count: usize,
+        recipe: &Recipe,
+    ) -> Result<(), Error> {
+        let mut first = None;
+        let mut there = 0;
+        for shard in Shard::all(count) {
+            match self.tile_of(stage, shard, recipe)? {
+                Some(_) => there += 1,
+                None => first = first.or(Some(shard)),
+            }
+        }
+        let path = self.root().join(TILES);
+        first.map_or(Ok(()), |shard| Err(Error::MissingShard { path, stage, shard, there }))
+    }
+
+    /// Takes the tiles of all shards of a stage, one after the other; none if there are none.
+    ///
+    /// # Errors
+    ///
+    /// Those of `take`; a shard is missing, damaged or of another recipe.
+    pub(crate) fn for_each_tile(
+        &self,
+        stage: Stage,
+        recipe: &Recipe,
+        mut take: impl FnMut(TileReader) -> Result<(), Error>,
+    ) -> Result<(), Error> {
+        let take = |shard| take(self.tile(stage, shard, &Label::new(stage, shard, recipe))?);
+        self.shards(stage)?.into_iter().try_for_each(take)
+    }
+
+    /// Removes the tiles of a stage that is complete, and their folder if none are left.
+    ///
+    /// # Errors
+    ///
+    /// They cannot be removed.
+    pub(crate) fn remove_tiles(&self, stage: Stage) -> Result<(), Error> {
+        let folder = self.folder.folder();
+        let failed = || StoreError::output(&folder.join(TILES));
+        // No link is followed to files of others.
+        if !folder.metadata(TILES).map_err(failed())?.is_some_and(|found| found.is_dir()) {
+            return Ok(());
+        }
+        for shard in self.with_tiles(stage) {
+            folder.remove_file(tile_name(stage, shard)).map_err(failed())?;
+        }
+        if Stage::ALL.iter().all(|stage| self.with_tiles(*stage).is_empty()) {
+            folder.remove_own_folder(TILES).map_err(failed())?;
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_of_tiles_round_trip() {
+        let shard: Shard = "2/8".parse().unwrap();
+        assert_eq!(shard.to_string(), "2/8");
+        assert_eq!(tile_name(Stage::Match, shard), ".tiepoint-tiles/match-2-of-8");
+        assert_eq!(shard_of("match-2-of-8", Stage::Match), Some(shard));
+        assert_eq!(shard_of("match-2-of-8", Stage::Features), None);
+        assert_eq!(shard_of(".match-2-of-8.tiepoint-part", Stage::Match), None);
+    }
+}
