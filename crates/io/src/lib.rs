@@ -12,6 +12,7 @@ pub mod database;
 pub mod dense;
 mod error;
 pub mod gltf;
+pub mod gpx;
 pub mod gsplat;
 pub mod kitti;
 #[cfg(feature = "las")]

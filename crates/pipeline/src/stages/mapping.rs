@@ -18,7 +18,8 @@ use tiepoint_sfm::geometry::OptionError;
 use tiepoint_sfm::rigs::{rig_candidates, rig_pairs};
 use tiepoint_sfm::scene::KnownRigs;
 use tiepoint_sfm::scene::{
-    Camera, CameraId, CorrespondenceGraph, Georeference, Image, ImageId, Reconstruction, TwoViewKind,
+    Camera, CameraId, CorrespondenceGraph, Georeference, Image, ImageId, Reconstruction,
+    TwoViewKind,
 };
 use tiepoint_sfm::two_view::VerifyOptions;
 use tiepoint_sfm::{
@@ -310,6 +311,12 @@ impl<'a> MapRequest<'a> {
             return Ok(Placed::unused("the model of `mapper.input_model` keeps its frame"));
         }
         let seed = self.options.seed;
+        let by_clock = models.first().and_then(|it| positions.by_clock(&it.reconstruction, seed));
+        let by_clock = match by_clock.transpose() {
+            Ok(by_clock) => by_clock,
+            Err(misfit) => return Ok(Placed::unused(&misfit.to_string())),
+        };
+        let positions = by_clock.as_ref().unwrap_or(positions);
         let (mut comparison, mut failure) = (None, None);
         let rigs = input.known_rigs.as_ref();
         let scale_of = |model: &MappedModel| ScaleOf::model(model, None, rigs);
