@@ -756,7 +756,8 @@ pub(crate) struct Export {
     /// with transforms.json, images and cloud), 3dgs-deblur (the same with the velocities and the
     /// readout time of rolling shutters), gsplat (a folder with the photos, sparse/0 with the
     /// detected keypoints, and rolling_shutter.json with viewmats of first and last rows), kalibr
-    /// (camchain.yaml with extrinsics and time offsets of the rig). Trainers that want PINHOLE
+    /// (camchain.yaml with extrinsics and time offsets of the rig), geojson or gpx (the paths of
+    /// the cameras of a georeferenced model on WGS 84, for maps). Trainers that want PINHOLE
     /// images, as Brush and LichtFeld, take the folder of `undistort`.
     #[arg(
         long,

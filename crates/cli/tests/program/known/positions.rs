@@ -5,6 +5,7 @@ use std::path::Path;
 
 use serde_json::Value;
 use tiepoint_pipeline::io::colmap::read_model;
+use tiepoint_pipeline::io::gpx;
 use tiepoint_pipeline::sfm::geometry::geodesy::{Geodetic, LocalFrame};
 use tiepoint_pipeline::sfm::geometry::nalgebra::Vector3;
 
@@ -105,6 +106,25 @@ fn model_bytes(dir: &Path) -> Vec<Vec<u8>> {
         .to_vec()
 }
 
+/// The path of a georeferenced model is where the truth is.
+fn check_path_for_maps(dir: &Path, truth: &[Vector3<f64>]) {
+    for format in ["geojson", "gpx"] {
+        tiepoint_in(dir, &format!("export {{}}/ws --to {format} -o {{}}/path.{format}")).done();
+    }
+    // The photos of this drive have no times.
+    let gpx = gpx::read(&dir.join("path.gpx"));
+    assert!(gpx.unwrap_err().to_string().contains("has no track point with a time"));
+    let path = json(&dir.join("path.geojson"));
+    let line = path["features"][0]["geometry"]["coordinates"].as_array().unwrap();
+    assert_eq!(line.len(), FRAMES);
+    for (place, there) in line.iter().zip(truth) {
+        let [longitude_deg, latitude_deg, height_m] = [0, 1, 2].map(|k| place[k].as_f64().unwrap());
+        let found = frame().to_local(&Geodetic { latitude_deg, longitude_deg, height_m });
+        // Four times the root mean square.
+        assert!((found - there).norm() < 4.0 * MAX_RMS_M, "{found} {there}");
+    }
+}
+
 #[test]
 fn positions_of_photos_give_scale_north_and_up() {
     let dir = tempfile::tempdir().unwrap();
@@ -151,6 +171,8 @@ fn positions_of_photos_give_scale_north_and_up() {
     let rms_m = (squares.iter().sum::<f64>() / squares.len() as f64).sqrt();
     assert!(squares.len() == FRAMES && rms_m < MAX_RMS_M, "{rms_m} m of {}", squares.len());
 
+    check_path_for_maps(dir, &truth);
+
     // A model that goes on from it is in its frame.
     let origin = fs::read(ws.join("georeference.json")).unwrap();
     tiepoint_in(dir, "reconstruct {}/drive/left -o {}/next --input-model {}/ws").done();
@@ -161,6 +183,8 @@ fn positions_of_photos_give_scale_north_and_up() {
     tiepoint_in(dir, line).done();
     assert_eq!(model_bytes(&ws), without);
     assert!(!ws.join("georeference.json").exists());
+    tiepoint_in(dir, "export {}/ws --to gpx -o {}/no.gpx")
+        .failed(1, &["nothing tells where on the earth"]);
     // A file of the user is theirs, unless positions would replace it.
     fs::write(ws.join("georeference.json"), "mine").unwrap();
     tiepoint_in(dir, line).done();
