@@ -3,11 +3,12 @@
 positions in EXIF.
 
     cargo build --release -p tiepoint -p tiepoint-sfm --example positions --bin tiepoint
-    python bench/positions.py drives [--length 600] [--seeds 5]
+    python bench/positions.py drives [--length 600] [--seeds 5] [--clock]
     python bench/positions.py photos FOLDER
 
 `drives` prints the table of the example `positions`: the root mean square distance of the cameras
-from the truth, without positions in the adjustments, with them, and of what is kept. `photos`
+from the truth, without positions in the adjustments, with them, and of what is kept; with `--clock`
+the errors of the clock offset and the lever arm of tracks, beside their deviations. `photos`
 reconstructs a folder without positions, then with them, and prints what the program says of them,
 and of both models the photos, the reprojection error and the time of mapping."""
 
@@ -23,6 +24,7 @@ from program import TARGET, program_of
 def drives(args):
     example = TARGET / "release/examples/positions"
     arguments = ["--length", str(args.length), "--seeds", str(args.seeds)]
+    arguments += ["--clock", "1"] if args.clock else []
     subprocess.run([example, *arguments], check=True)
 
 
@@ -52,6 +54,7 @@ def main():
     command = commands.add_parser("drives")
     command.add_argument("--length", type=float, default=600)
     command.add_argument("--seeds", type=int, default=5)
+    command.add_argument("--clock", action="store_true", help="tracks with a clock of their own")
     command.set_defaults(run=drives)
     command = commands.add_parser("photos")
     command.add_argument("folder")

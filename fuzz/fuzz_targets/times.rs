@@ -1,11 +1,11 @@
-//! Times of images: CSV; positions of images, and similarities. What is read comes back when it is
+//! Times of images: CSV; positions of images, tracks, and similarities. What is read comes back when it is
 //! written.
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
 
 use tiepoint_fuzz::{file, folder};
-use tiepoint_io::{control_points, position_priors, positions, similarity, timestamps};
+use tiepoint_io::{control_points, gpx, position_priors, positions, similarity, timestamps};
 
 fuzz_target!(|data: &[u8]| {
     if let Ok(positions) = positions::read(&file("positions.txt", data)) {
@@ -19,6 +19,13 @@ fuzz_target!(|data: &[u8]| {
                 .iter()
                 .all(|(name, position)| { !name.is_empty() && position.place.validate().is_ok() })
         );
+    }
+    for track in [
+        position_priors::read_track(&file("track.csv", data)),
+        gpx::read(&file("track.gpx", data)),
+    ] {
+        let positions = track.iter().flat_map(|track| track.positions());
+        positions.for_each(|position| assert!(position.place.validate().is_ok()));
     }
     if let Ok(points) = control_points::read(&file("gcp_list.txt", data)) {
         assert!(

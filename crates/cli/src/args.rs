@@ -512,13 +512,15 @@ pub(crate) struct Mapping {
     /// scaled to it; by default the scale is arbitrary.
     #[arg(long, value_name = "0.62m", conflicts_with = "input_model")]
     pub(crate) baseline: Option<Metres>,
-    /// Positions of the photos: a CSV file, auto (EXIF) or off.
+    /// Positions of the photos: a CSV or GPX file, auto (EXIF, GoPro) or off.
     ///
-    /// auto takes positions of EXIF, or pose_priors of --database. A CSV file has the header
-    /// image,lat,lon,alt (WGS 84, degrees and metres) or image,x,y,z (metres, z up), and perhaps
-    /// sigma or sigma_h,sigma_v (standard deviations in metres, else estimated). The model is then
-    /// in metres, x east, y north, z up, and georeference.json has its origin. Positions with
-    /// stated deviations also take part in the adjustments, if held-out ones say that it helps.
+    /// auto takes positions of EXIF or GoPro's videos, or pose_priors of --database. A CSV file has
+    /// the header image,lat,lon,alt (WGS 84, degrees and metres) or image,x,y,z (metres, z up), and
+    /// perhaps sigma or sigma_h,sigma_v (standard deviations in metres, else estimated). With
+    /// seconds in place of image, and in GPX, times are of a clock of their own: its offset from
+    /// that of the photos is estimated, and where the antenna is. The model is then in metres, x
+    /// east, y north, z up, and georeference.json has its origin. Positions with stated deviations
+    /// also take part in the adjustments, if held-out ones say that it helps.
     #[arg(
         help_heading = "Input",
         long,
@@ -801,7 +803,8 @@ pub(crate) struct Export {
     /// with transforms.json, images and cloud), 3dgs-deblur (the same with the velocities and the
     /// readout time of rolling shutters), gsplat (a folder with the photos, sparse/0 with the
     /// detected keypoints, and rolling_shutter.json with viewmats of first and last rows), kalibr
-    /// (camchain.yaml with extrinsics and time offsets of the rig). Trainers that want PINHOLE
+    /// (camchain.yaml with extrinsics and time offsets of the rig), geojson or gpx (the paths of
+    /// the cameras of a georeferenced model on WGS 84, for maps). Trainers that want PINHOLE
     /// images, as Brush and LichtFeld, take the folder of `undistort`.
     #[arg(
         long,

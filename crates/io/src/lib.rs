@@ -11,7 +11,9 @@ mod counted_file;
 pub mod database;
 pub mod dense;
 mod error;
+pub mod geo_path;
 pub mod gltf;
+pub mod gpx;
 pub mod gsplat;
 pub mod kitti;
 #[cfg(feature = "las")]

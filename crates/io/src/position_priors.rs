@@ -1,20 +1,20 @@
-//! Measured positions of images: a CSV file with the header `image,lat,lon,alt` (WGS 84, degrees
-//! and metres) or `image,x,y,z` (a Cartesian frame in metres, z up). Columns of standard deviations
-//! in metres may follow: `sigma`, or `sigma_h,sigma_v` (along each horizontal axis, and of the
-//! height).
+//! Measured positions: a CSV file with the header `image,lat,lon,alt` (WGS 84, degrees and metres)
+//! or `image,x,y,z` (a Cartesian frame in metres, z up). Columns of standard deviations in metres
+//! may follow: `sigma`, or `sigma_h,sigma_v` (along each horizontal axis, and of the height). In
+//! place of images, a track has times of a clock of its own, `seconds`.
 
 use std::collections::BTreeMap;
 use std::path::Path;
 
 use tiepoint_geometry::nalgebra::Vector3;
-use tiepoint_scene::{Place, Position};
+use tiepoint_scene::{Place, Position, PositionTrack};
 
 use crate::Result;
 use crate::text::excerpt::Excerpt;
 use crate::text::{Lines, Words};
 
-const EXPECTED: &str =
-    "`image,lat,lon,alt` or `image,x,y,z`, perhaps with `,sigma` or `,sigma_h,sigma_v`";
+const IMAGE: &str = "image";
+const SECONDS: &str = "seconds";
 
 /// The columns behind the name.
 struct Columns {
@@ -23,10 +23,10 @@ struct Columns {
 }
 
 impl Columns {
-    fn of_header(header: &str) -> Option<Self> {
+    fn of_header(header: &str, key: &str) -> Option<Self> {
         let mut words = header.split(',').map(|word| word.trim().to_ascii_lowercase());
         let words: Vec<String> = words.by_ref().collect();
-        let [image, place @ ..] = words.as_slice() else { return None };
+        let [first, place @ ..] = words.as_slice() else { return None };
         let place: Vec<&str> = place.iter().map(String::as_str).collect();
         let (place, sigmas) = place.split_at_checked(3)?;
         let is_geodetic = match place {
@@ -35,7 +35,7 @@ impl Columns {
             _ => return None,
         };
         let is_known = matches!(sigmas, [] | ["sigma"] | ["sigma_h", "sigma_v"]);
-        (image == "image" && is_known).then_some(Self { is_geodetic, num_sigmas: sigmas.len() })
+        (first == key && is_known).then_some(Self { is_geodetic, num_sigmas: sigmas.len() })
     }
 
     /// The name and the position of a line.
@@ -104,15 +104,28 @@ impl Columns {
     }
 }
 
-/// Whether a file is of this kind: its first line begins with `image` and a separator.
+/// Whether a file has positions of images: its first line begins with `image` and a separator.
 ///
 /// # Errors
 ///
 /// If the file cannot be read.
 pub fn has_header(path: &Path) -> Result<bool> {
+    begins_with(path, IMAGE)
+}
+
+/// Whether a file is a track: its first line begins with `seconds` and a separator.
+///
+/// # Errors
+///
+/// If the file cannot be read.
+pub fn is_track(path: &Path) -> Result<bool> {
+    begins_with(path, SECONDS)
+}
+
+fn begins_with(path: &Path, key: &str) -> Result<bool> {
     let mut lines = Lines::open(path)?;
     let first = lines.next()?.map(|mut words| words.rest().to_ascii_lowercase());
-    let rest = first.as_deref().and_then(|line| line.strip_prefix("image"));
+    let rest = first.as_deref().and_then(|line| line.strip_prefix(key));
     Ok(rest.is_some_and(|rest| rest.trim_start().starts_with([',', ';'])))
 }
 
@@ -124,25 +137,58 @@ pub fn has_header(path: &Path) -> Result<bool> {
 /// If the file cannot be read or has no position, if its header is another one, if a number is
 /// missing, not finite or out of its range, and if a name is listed twice.
 pub fn read(path: &Path) -> Result<BTreeMap<String, Position>> {
+    let mut positions = BTreeMap::new();
+    read_lines(path, IMAGE, |name, position, line| {
+        match positions.insert(name.to_owned(), position) {
+            Some(_) => Err(line.error(format!("the image {} is listed twice", Excerpt(name)))),
+            None => Ok(()),
+        }
+    })?;
+    Ok(positions)
+}
+
+/// Reads a track: in each line the time in seconds, of any clock, comes first.
+///
+/// # Errors
+///
+/// As of [`read`], and if a time is no finite number.
+pub fn read_track(path: &Path) -> Result<PositionTrack> {
+    let mut positions = Vec::new();
+    read_lines(path, SECONDS, |text, position, line| {
+        let time_s = text.parse().ok().filter(|time_s: &f64| time_s.is_finite());
+        let time_s: f64 = time_s.ok_or_else(|| {
+            line.error(format!("the time is `{}`, not a number of seconds", Excerpt(text)))
+        })?;
+        positions.push((time_s, position));
+        Ok(())
+    })?;
+    Ok(PositionTrack::new(positions))
+}
+
+/// Takes the first column and the position of each line.
+fn read_lines(
+    path: &Path,
+    key: &str,
+    mut take: impl FnMut(&str, Position, &Words) -> Result<()>,
+) -> Result<()> {
     let mut lines = Lines::open(path)?;
     let header = lines.next()?.map(|mut words| words.rest().to_owned()).unwrap_or_default();
-    let Some(columns) = Columns::of_header(&header) else {
+    let Some(columns) = Columns::of_header(&header, key) else {
         let separators = if header.contains([';', '\t']) { ", separated by commas" } else { "" };
         return Err(lines.error(format!(
-            "the header is `{}` and must be {EXPECTED}{separators}",
+            "the header is `{}` and must be `{key},lat,lon,alt` or `{key},x,y,z`, perhaps with \
+             `,sigma` or `,sigma_h,sigma_v`{separators}",
             Excerpt(&header)
         )));
     };
-    let mut positions = BTreeMap::new();
+    let mut is_empty = true;
     while let Some(mut line) = lines.next()? {
-        let (name, position) = columns.read(&mut line)?;
-        if positions.contains_key(&name) {
-            return Err(line.error(format!("the image {} is listed twice", Excerpt(&name))));
-        }
-        positions.insert(name, position);
+        let (first, position) = columns.read(&mut line)?;
+        take(&first, position, &line)?;
+        is_empty = false;
     }
-    if positions.is_empty() {
+    if is_empty {
         return Err(lines.error("has no position"));
     }
-    Ok(positions)
+    Ok(())
 }

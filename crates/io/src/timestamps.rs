@@ -16,6 +16,14 @@ const HEADER: &str = "image,seconds";
 /// Seconds since 1970 in the year 5138. Milliseconds since 1970 have exceeded it since 1973.
 const MAX_S: f64 = 1e11;
 
+/// The year 1980. Clocks that do not count from 1970 begin near 0.
+const FIRST_ABSOLUTE_S: f64 = 3.15e8;
+
+/// Whether a time in seconds counts from 1970; others begin anywhere.
+pub fn is_absolute(time_s: f64) -> bool {
+    time_s >= FIRST_ABSOLUTE_S
+}
+
 /// What a number that cannot be seconds since 1970 may be since then.
 fn unit_of(number: f64) -> &'static str {
     match number.abs() {

@@ -672,6 +672,15 @@ pub enum Error {
         /// The workspace.
         path: PathBuf,
     },
+    /// A model is not georeferenced, or by Cartesian coordinates only.
+    #[error(
+        "nothing tells where on the earth {model} is: map with positions on WGS 84 \
+        (`mapper.position_priors`), or align it with them"
+    )]
+    NoPlace {
+        /// The model.
+        model: PathBuf,
+    },
     /// A workspace has no dense cloud.
     #[error(
         "{path} has no dense cloud of its model: run `stage.dense` first, with `stage.redo` \

@@ -13,7 +13,7 @@ use tiepoint_io::trajectory::{
     TimedPose, read_euroc, read_kitti, read_tum, write_euroc, write_kitti, write_tum,
 };
 use tiepoint_io::{
-    calibration, colmap, control_points, kitti, position_priors, positions, rig_calibration,
+    calibration, colmap, control_points, gpx, kitti, position_priors, positions, rig_calibration,
     similarity, strecha, timestamps,
 };
 
@@ -523,6 +523,14 @@ fn text_readers() -> Vec<(&'static str, &'static str, Reader)> {
         ("places.csv", "image,lat,lon,alt\n1.jpg,48.1,11.5,519\n", |p| {
             shown(position_priors::read(p))
         }),
+        ("track.csv", "seconds,lat,lon,alt\n0.5,48.1,11.5,519\n", |p| {
+            shown(position_priors::read_track(p))
+        }),
+        (
+            "track.gpx",
+            "<gpx><trkpt lat=\"1\" lon=\"2\"><time>2024-02-29T12:34:56Z</time></trkpt></gpx>",
+            |p| shown(gpx::read(p)),
+        ),
         ("times.csv", "image,seconds\n1.jpg,0.5\n", |p| shown(timestamps::read(p))),
         ("gcp_list.txt", "EPSG:32632\n691603 5334780 519 7 8 1.jpg a\n", |p| {
             shown(control_points::read(p))
@@ -576,6 +584,21 @@ fn position_priors_have_optional_altitudes_and_deviations() {
         found["a.jpg"],
         Position { place, sigma_horizontal_m: sigma, sigma_vertical_m: sigma }
     );
+
+    let track = |text: &str| in_file(text, position_priors::read_track);
+    let found = track("seconds,lat,lon,alt\n7,-48.5,11.25,519\n-0.5,1,2,\n").unwrap();
+    assert_eq!(found.times_s(), [-0.5, 7.0]);
+    assert_eq!(found.positions()[1], geodetic(-48.5, 11.25, Some(519.0), [None; 2]));
+    for (text, part) in [
+        ("seconds,lat,lon,alt\n", "has no position"),
+        ("seconds,lat,lon,alt\ninf,1,2,3\n", "the time is `inf`, not a number of seconds"),
+        ("seconds,lat,lon,alt\n7,5,48,1,11,5,519\n", "decimals follow a point"),
+        ("seconds,lat,lon,alt\n7,-90.1,1,2\n", "the latitude -90.1 is not from -90 to 90"),
+        ("image,lat,lon,alt\na,1,2,3\n", "must be `seconds,lat,lon,alt` or `seconds,x,y,z`"),
+    ] {
+        let found = track(text).unwrap_err().to_string();
+        assert!(found.contains(part), "{found}");
+    }
 
     let header = "image,lat,lon,alt\n";
     for (text, parts) in [

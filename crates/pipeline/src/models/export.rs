@@ -11,14 +11,17 @@ use tiepoint_input::sequences::number;
 use tiepoint_input::{Exif, ImageFolder, Rgb};
 use tiepoint_io::bal::Bal;
 use tiepoint_io::colmap::Format;
+use tiepoint_io::geo_path::{GeoPath, GeoPhoto};
 use tiepoint_io::nerfstudio::{self, Motion};
+use tiepoint_io::timestamps::is_absolute;
 use tiepoint_io::trajectory::{self, TimedPose};
-use tiepoint_io::{gltf, gsplat, openmvs, ply};
+use tiepoint_io::{geo_path, gltf, gsplat, openmvs, ply};
 use tiepoint_sfm::frame_names::natural_order;
 use tiepoint_sfm::geometry::Rigid3;
-use tiepoint_sfm::scene::{Image, ImageId, Reconstruction};
+use tiepoint_sfm::geometry::geodesy::Geodetic;
+use tiepoint_sfm::scene::{Georeference, Image, ImageId, Reconstruction};
 use tiepoint_store::disk::{self, FileId};
-use tiepoint_store::{AtomicFile, Error as StoreError, OutputFolder, Replace, write_file};
+use tiepoint_store::{AtomicFile, Error as StoreError, Mark, OutputFolder, Replace, write_file};
 
 use crate::Error;
 use crate::models::rigid::{RigidReport, rigid_model};
@@ -61,11 +64,15 @@ pub enum ExportFormat {
     Gltf,
     /// Extrinsics and time offsets of the rig as Kalibr's `camchain.yaml`.
     Kalibr,
+    /// The paths of the cameras of a georeferenced model on WGS 84, for maps.
+    GeoJson,
+    /// The same as a track.
+    Gpx,
 }
 
 impl ExportFormat {
     /// All formats.
-    pub const ALL: [Self; 13] = [
+    pub const ALL: [Self; 15] = [
         Self::Colmap,
         Self::OpenMvs,
         Self::Nerfstudio,
@@ -79,6 +86,8 @@ impl ExportFormat {
         Self::Kitti,
         Self::Bal,
         Self::Kalibr,
+        Self::GeoJson,
+        Self::Gpx,
     ];
 
     /// Its name.
@@ -97,6 +106,8 @@ impl ExportFormat {
             Self::Kitti => "kitti",
             Self::Bal => "bal",
             Self::Kalibr => "kalibr",
+            Self::GeoJson => "geojson",
+            Self::Gpx => "gpx",
         }
     }
 }
@@ -270,6 +281,11 @@ fn write_as(
             file(None, &|to| Ok(trajectory::write_kitti(to, &trajectory)?))?;
             (poses, points) = (trajectory.len(), 0);
         }
+        ExportFormat::GeoJson | ExportFormat::Gpx => {
+            let (mark, write) = geo_writer(located, format)?;
+            file(Some(mark), &write)?;
+            points = 0;
+        }
         ExportFormat::Tum => {
             let timed = timed_trajectory_of(located)?;
             file(Some(COMMENT_MARK), &|to| Ok(trajectory::write_tum(to, &timed)?))?;
@@ -291,6 +307,46 @@ fn timed_trajectory_of(located: &LocatedModel) -> Result<Vec<TimedPose>, Error> 
         true => Err(Error::NoTimes { model: located.folder().to_owned() }),
         false => Ok(timed),
     }
+}
+
+/// What writes the paths of a georeferenced model, and how its files are known.
+fn geo_writer(
+    located: &LocatedModel,
+    format: ExportFormat,
+) -> Result<(Mark, impl Fn(&Path) -> Result<(), Error>), Error> {
+    let (paths, has_heights) = geo_paths(located)?;
+    let (start, write): (_, fn(&Path, &[GeoPath], bool) -> _) = match format {
+        ExportFormat::Gpx => (geo_path::GPX_START, geo_path::write_gpx),
+        _ => (geo_path::GEOJSON_START, geo_path::write_geojson),
+    };
+    Ok((Mark::Start(start), move |to: &Path| Ok(write(to, &paths, has_heights)?)))
+}
+
+/// The path of each stream of a georeferenced model on the earth, in order of time or of names, and
+/// whether heights are known.
+fn geo_paths(located: &LocatedModel) -> Result<(Vec<GeoPath>, bool), Error> {
+    let model = &located.reconstruction;
+    let Some(Georeference::Enu { frame, has_height }) = &model.georeference else {
+        return Err(Error::NoPlace { model: located.folder().to_owned() });
+    };
+    let mut of_streams: BTreeMap<&str, Vec<(&Image, Geodetic)>> = BTreeMap::new();
+    for (_, image, pose) in model.registered() {
+        let place = frame.to_geodetic(&pose.origin_in_a());
+        of_streams.entry(&*image.stream).or_default().push((image, place));
+    }
+    let path = |(stream, mut images): (&str, Vec<(&Image, Geodetic)>)| {
+        images.sort_by(|(a, _), (b, _)| match (a.time_s, b.time_s) {
+            (Some(a), Some(b)) => a.total_cmp(&b),
+            _ => natural_order(&a.name, &b.name),
+        });
+        let photo = |(image, place): (&Image, Geodetic)| GeoPhoto {
+            name: image.name.clone(),
+            place,
+            time_s: image.time_s.filter(|time_s| is_absolute(*time_s)),
+        };
+        GeoPath { name: stream.to_owned(), photos: images.into_iter().map(photo).collect() }
+    };
+    Ok((of_streams.into_iter().map(path).collect(), *has_height))
 }
 
 /// Kalibr's file of the rig of a model, and the number of its cameras.

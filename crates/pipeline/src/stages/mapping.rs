@@ -402,6 +402,12 @@ impl<'a> MapRequest<'a> {
             return Ok(Placed::unused("the model of `mapper.input_model` keeps its frame"));
         }
         let seed = self.options.seed;
+        let by_clock = models.first().and_then(|it| positions.by_clock(&it.reconstruction, seed));
+        let by_clock = match by_clock.transpose() {
+            Ok(by_clock) => by_clock,
+            Err(misfit) => return Ok(Placed::unused(&misfit.to_string())),
+        };
+        let positions = by_clock.as_ref().unwrap_or(positions);
         let (mut comparison, mut failure) = (None, None);
         let rigs = input.known_rigs.as_ref();
         let scale_of = |model: &MappedModel| ScaleOf::model(model, None, rigs);

@@ -1,26 +1,29 @@
 //! Measured positions of the photos: where they come from, and models in their frame.
 
 use std::collections::BTreeMap;
+use std::fmt::Display;
 use std::path::{Path, PathBuf};
 
 use tiepoint_input::fingerprint::hash_bytes;
 use tiepoint_io::database::Database;
 use tiepoint_io::names::ByName;
-use tiepoint_io::position_priors;
+use tiepoint_io::timestamps::is_absolute;
+use tiepoint_io::{gpx, position_priors};
 use tiepoint_sfm::MappedModel;
 use tiepoint_sfm::geometry::Sim3;
 use tiepoint_sfm::geometry::numeric::median;
 use tiepoint_sfm::positions::{
-    Comparison, MeasuredPosition, Misfit, PositionAlignment, PositionTerm, align, compare, held_out,
+    Comparison, MeasuredPosition, Misfit, PositionAlignment, PositionTerm, TimedPosition,
+    TrackMisfit, align, align_track, compare, held_out,
 };
 use tiepoint_sfm::scene::{
-    Georeference, Image, ImageId, KnownRigs, Place, Position, Reconstruction,
+    Georeference, Image, ImageId, KnownRigs, Place, Position, PositionTrack, Reconstruction,
 };
 
 use crate::stages::scale::scale_extrinsics;
 use crate::workspace::file_names::model_path;
 use crate::workspace::option_names::POSITION_PRIORS_KEY;
-use crate::workspace::report::{PositionReport, ScaleReport};
+use crate::workspace::report::{ClockReport, PositionReport, ScaleReport};
 use crate::{Error, Event, Stage, Watch, Workspace, emit};
 
 /// Where measured positions of the photos come from.
@@ -31,15 +34,18 @@ pub enum PositionPriors {
     Auto,
     /// There are none.
     Off,
-    /// From a file of [`position_priors`].
+    /// From a file of [`position_priors`] or [`gpx`]: of images, or along the time of a clock.
     File(PathBuf),
 }
 
-/// Positions by the names of photos.
-pub(crate) struct FoundPositions {
-    /// The file, if they are from one.
-    file: Option<PathBuf>,
-    by_name: BTreeMap<String, Position>,
+/// Positions, and where they come from.
+pub(crate) enum FoundPositions {
+    /// By the names of photos, in the database.
+    InDatabase(BTreeMap<String, Position>),
+    /// By the names of photos, in a file.
+    InFile(PathBuf, BTreeMap<String, Position>),
+    /// By the time of a clock of their own.
+    Track(PositionTrack),
 }
 
 impl FoundPositions {
@@ -55,18 +61,37 @@ impl FoundPositions {
         is_redone: bool,
         watch: Watch,
     ) -> Result<Option<Self>, Error> {
-        let (file, by_name) = match from {
+        let path = match from {
             PositionPriors::Off => return Ok(None),
-            PositionPriors::File(path) => (Some(path.clone()), position_priors::read(path)?),
+            PositionPriors::File(path) => path,
             PositionPriors::Auto if workspace.records.is_complete(Stage::Features) => {
-                (None, of_database(&workspace.database())?)
+                let by_name = of_database(&workspace.database())?;
+                return Self::unless_mapped_without(workspace, by_name, is_redone, watch);
             }
             PositionPriors::Auto => return Ok(None),
         };
+        let is_gpx =
+            path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("gpx"));
+        Ok(Some(match is_gpx {
+            true => Self::Track(gpx::read(path)?),
+            false if position_priors::is_track(path)? => {
+                Self::Track(position_priors::read_track(path)?)
+            }
+            false => Self::InFile(path.clone(), position_priors::read(path)?),
+        }))
+    }
+
+    /// Those in the database, unless models were mapped without.
+    fn unless_mapped_without(
+        workspace: &Workspace,
+        by_name: BTreeMap<String, Position>,
+        is_redone: bool,
+        watch: Watch,
+    ) -> Result<Option<Self>, Error> {
         let is_mapped_without = !is_redone
             && workspace.records.is_begun(Stage::Map)
             && workspace.records.option(Stage::Map, POSITION_PRIORS_KEY).is_none();
-        if file.is_none() && !by_name.is_empty() && is_mapped_without {
+        if !by_name.is_empty() && is_mapped_without {
             let what = format!(
                 "the models were mapped without the {} positions in database.db: `stage.redo` map \
                  uses them",
@@ -75,13 +100,21 @@ impl FoundPositions {
             emit(watch, &Event::Noted { what: &what })?;
             return Ok(None);
         }
-        Ok((!by_name.is_empty()).then_some(Self { file, by_name }))
+        Ok((!by_name.is_empty()).then_some(Self::InDatabase(by_name)))
     }
 
     /// Their hash, for the record of the stage.
     pub(crate) fn hash(&self) -> String {
-        let line = |(name, position): (&String, &Position)| format!("{name} {position:?}\n");
-        let text: String = self.by_name.iter().map(line).collect();
+        let line = |key: &dyn Display, position: &Position| format!("{key} {position:?}\n");
+        let text: String = match self {
+            Self::InDatabase(by_name) | Self::InFile(_, by_name) => {
+                by_name.iter().map(|(name, position)| line(name, position)).collect()
+            }
+            Self::Track(track) => {
+                let fixes = track.times_s().iter().zip(track.positions());
+                fixes.map(|(time_s, position)| line(time_s, position)).collect()
+            }
+        };
         hash_bytes(text.as_bytes())
     }
 
@@ -92,14 +125,19 @@ impl FoundPositions {
     ///
     /// No name in a file is that of an image.
     pub(crate) fn of_scene(&self, scene: &Reconstruction) -> Result<ScenePositions, Error> {
-        let count = self.by_name.len();
-        let by_name = ByName::new(self.by_name.clone());
-        let of_image = |(id, image): (ImageId, &Image)| Some((id, *by_name.get(&image.name)?));
+        let (file, by_name) = match self {
+            Self::InDatabase(by_name) => (None, by_name),
+            Self::InFile(path, by_name) => (Some(path), by_name),
+            Self::Track(track) => return Ok(ScenePositions::of_track(track)),
+        };
+        let count = by_name.len();
+        let named = ByName::new(by_name.clone());
+        let of_image = |(id, image): (ImageId, &Image)| Some((id, *named.get(&image.name)?));
         let mut found: Vec<(ImageId, Position)> = scene.images().filter_map(of_image).collect();
         let mut notes = Vec::new();
-        if let Some(path) = &self.file {
+        if let Some(path) = file {
             if found.is_empty() {
-                let first = self.by_name.keys().next().cloned().unwrap_or_default();
+                let first = by_name.keys().next().cloned().unwrap_or_default();
                 let path = path.clone();
                 return Err(Error::PositionsOfOthers { path, count, first });
             }
@@ -112,7 +150,7 @@ impl FoundPositions {
             }
         }
         drop_null(&mut found, &mut notes);
-        drop_repeated(&mut found, scene, &mut notes);
+        drop_repeated(&mut found, &|image| scene.image(*image).name.clone(), "photo", &mut notes);
         note_missing_altitudes(&found, &mut notes);
         in_order_of_time(&mut found, scene);
         let georeference = Georeference::near(found.iter().map(|(_, position)| &position.place));
@@ -122,7 +160,8 @@ impl FoundPositions {
             let has_height = !is_without_altitude(&position.place);
             Some(MeasuredPosition { image: *image, xyz, has_height, sigmas_m: sigmas(position) })
         });
-        Ok(ScenePositions { measured: measured.collect(), georeference, notes })
+        let measured = measured.collect();
+        Ok(ScenePositions { measured, georeference, notes, track: Vec::new(), clock: None })
     }
 }
 
@@ -137,7 +176,7 @@ fn of_database(path: &Path) -> Result<BTreeMap<String, Position>, Error> {
 /// Fewest consecutive photos with the same position that are no chance.
 const MIN_REPEATED: usize = 3;
 
-fn drop_null(found: &mut Vec<(ImageId, Position)>, notes: &mut Vec<String>) {
+fn drop_null<K>(found: &mut Vec<(K, Position)>, notes: &mut Vec<String>) {
     let before = found.len();
     found.retain(|(_, position)| !position.place.is_null());
     if found.len() < before {
@@ -151,9 +190,10 @@ fn drop_null(found: &mut Vec<(ImageId, Position)>, notes: &mut Vec<String>) {
 
 /// Of consecutive photos with the same position, as of a receiver that lost its fix or is slower
 /// than the camera, keeps that of the first.
-fn drop_repeated(
-    found: &mut Vec<(ImageId, Position)>,
-    scene: &Reconstruction,
+fn drop_repeated<K: Copy>(
+    found: &mut Vec<(K, Position)>,
+    name: &dyn Fn(&K) -> String,
+    of_what: &str,
     notes: &mut Vec<String>,
 ) {
     let (mut kept, mut dropped, mut first) = (Vec::new(), 0, None);
@@ -169,9 +209,9 @@ fn drop_repeated(
     *found = kept;
     if let Some(first) = first {
         notes.push(format!(
-            "{dropped} positions, from {} on, repeat that of the photo before, as of a receiver \
-             that lost its fix, and are not used",
-            scene.image(first).name
+            "{dropped} positions, from {} on, repeat that of the {of_what} before, as of a \
+             receiver that lost its fix, and are not used",
+            name(&first)
         ));
     }
 }
@@ -180,7 +220,7 @@ fn is_without_altitude(place: &Place) -> bool {
     matches!(place, Place::Geodetic { altitude_m: None, .. })
 }
 
-fn note_missing_altitudes(found: &[(ImageId, Position)], notes: &mut Vec<String>) {
+fn note_missing_altitudes<K>(found: &[(K, Position)], notes: &mut Vec<String>) {
     let without = found.iter().filter(|(_, position)| is_without_altitude(&position.place)).count();
     if without > 0 && without < found.len() {
         notes.push(format!(
@@ -221,7 +261,7 @@ const VERTICAL_FACTOR: f64 = 2.0;
 
 /// Deviations of a position along a horizontal axis and of the height. Where half of the positions
 /// state one, the others have their median; else none counts.
-fn common_sigmas(found: &[(ImageId, Position)]) -> impl Fn(&Position) -> Option<[f64; 2]> + use<> {
+fn common_sigmas<K>(found: &[(K, Position)]) -> impl Fn(&Position) -> Option<[f64; 2]> + use<K> {
     let mut stated: Vec<f64> =
         found.iter().filter_map(|(_, position)| position.sigma_horizontal_m).collect();
     let common = (2 * stated.len() >= found.len()).then(|| median(&mut stated)).flatten();
@@ -237,6 +277,81 @@ pub(crate) struct ScenePositions {
     pub(crate) georeference: Option<Georeference>,
     /// What is to be said of them, a sentence each.
     pub(crate) notes: Vec<String>,
+    /// Those with a clock of their own, which a model makes to those of images.
+    track: Vec<TimedPosition>,
+    clock: Option<ClockReport>,
+}
+
+/// Of absolute times, clocks of cameras differ by the zone and what it lacks, in seconds.
+const MAX_ABSOLUTE_OFFSET_S: f64 = 15.0 * 3600.0;
+
+impl ScenePositions {
+    /// Those of a track.
+    fn of_track(track: &PositionTrack) -> Self {
+        let fixes = track.times_s().iter().copied().zip(track.positions().iter().copied());
+        let (mut found, mut notes): (Vec<(f64, Position)>, _) = (fixes.collect(), Vec::new());
+        drop_null(&mut found, &mut notes);
+        drop_repeated(&mut found, &|time_s| format!("{time_s} s"), "time", &mut notes);
+        note_missing_altitudes(&found, &mut notes);
+        let georeference = Georeference::near(found.iter().map(|(_, position)| &position.place));
+        let sigmas = common_sigmas(&found);
+        let timed = found.iter().filter_map(|(time_s, position)| {
+            let xyz = georeference?.to_local(&position.place)?;
+            let has_height = !is_without_altitude(&position.place);
+            Some(TimedPosition { time_s: *time_s, xyz, has_height, sigmas_m: sigmas(position) })
+        });
+        let track = timed.collect();
+        Self { measured: Vec::new(), georeference, notes, track, clock: None }
+    }
+
+    /// With positions of images in place of those with a clock of their own, whose offset this
+    /// model determines; `None` if there are no such.
+    pub(crate) fn by_clock(
+        &self,
+        model: &Reconstruction,
+        seed: u64,
+    ) -> Option<Result<Self, TrackMisfit>> {
+        let first_s = self.track.first()?.time_s;
+        let of_images = || model.registered().filter_map(|(_, image, _)| image.time_s);
+        let offsets_s = match is_absolute(first_s) && of_images().all(is_absolute) {
+            true => -MAX_ABSOLUTE_OFFSET_S..MAX_ABSOLUTE_OFFSET_S,
+            false => f64::NEG_INFINITY..f64::INFINITY,
+        };
+        Some(align_track(model, &self.track, offsets_s, seed).map(|found| {
+            let clock = ClockReport {
+                offset_s: found.offset_s,
+                offset_sd_s: found.offset_sd_s,
+                arm_m: found.arm_m.into(),
+                arm_sds_m: found.arm_sds_m.into(),
+            };
+            let mut notes = self.notes.clone();
+            notes.extend(sentences_of_clock(&clock));
+            Self {
+                measured: found.positions,
+                georeference: self.georeference,
+                notes,
+                track: Vec::new(),
+                clock: Some(clock),
+            }
+        }))
+    }
+}
+
+/// What is to be said of the clock of positions and their antenna.
+fn sentences_of_clock(clock: &ClockReport) -> [String; 2] {
+    let side = if clock.offset_s < 0.0 { "behind" } else { "ahead of" };
+    let offset = format!(
+        "the clock of the positions is {:.3} s {side} that of the photos (known to {:.3} s)",
+        clock.offset_s.abs(),
+        clock.offset_sd_s
+    );
+    let axis = |(k, name): (usize, &str)| {
+        format!("{name} {:.2} m (known to {:.2} m)", clock.arm_m[k], clock.arm_sds_m[k])
+    };
+    let axes = ["x", "y", "z"].into_iter().enumerate().map(axis).collect::<Vec<_>>().join(", ");
+    let arm =
+        format!("their antenna is at {axes} in the axes of the camera, where 1 m is an assumption");
+    [offset, arm]
 }
 
 /// What sets the scale of a model.
@@ -400,7 +515,11 @@ impl ScenePositions {
             };
             transform(mapped, similarity);
             mapped.reconstruction.georeference = Some(georeference);
-            let report = report(mapped, *scale_of, &found, free.as_ref(), comparison);
+            let clock = self.clock.clone();
+            let report = PositionReport {
+                clock,
+                ..report(mapped, *scale_of, &found, free.as_ref(), comparison)
+            };
             let model = model_path(index);
             placed.notes.extend(sentences(&model, *scale_of, &report, &georeference));
             let of_comparison = comparison.map(|found| compared(&model, &report, found));
@@ -457,6 +576,7 @@ fn report(
         is_adjusted: mapped.is_in_frame_of_terms,
         held_out_median_m: comparison.map(|found| found.median_m),
         held_out_t: comparison.map(|found| found.t).filter(|t| t.is_finite()),
+        clock: None,
     }
 }
 

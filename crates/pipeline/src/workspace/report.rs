@@ -388,6 +388,23 @@ pub struct PositionReport {
     /// By how many of its standard deviations the squared distance is smaller with them.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub held_out_t: Option<f64>,
+    /// The clock of positions with times of their own, and where their antenna is.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub clock: Option<ClockReport>,
+}
+
+/// How positions with times of their own lie to the photos of one body.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(expecting = "an object")]
+pub struct ClockReport {
+    /// Time on the clock of the positions minus that on the clock of the photos, in seconds.
+    pub offset_s: f64,
+    /// Its standard deviation.
+    pub offset_sd_s: f64,
+    /// The antenna in the axes of the camera, in metres.
+    pub arm_m: [f64; 3],
+    /// Its standard deviations, in metres; 1 where the motion tells nothing, an assumption.
+    pub arm_sds_m: [f64; 3],
 }
 
 /// The metric scale of a model.

@@ -12,7 +12,7 @@ use tiepoint_scene::{ImageId, Reconstruction};
 use super::measured::MeasuredPosition;
 
 /// Fewest positions: three determine a similarity, and the others tell whether it is right.
-const MIN_POSITIONS: usize = 6;
+pub(super) const MIN_POSITIONS: usize = 6;
 /// Samples of three positions. With half of all wrong, all of 500 contain a wrong one with a
 /// probability of 0.875⁵⁰⁰ = 1e-29; the others choose among noise.
 const NUM_SAMPLES: usize = 500;
@@ -20,7 +20,7 @@ const NUM_SAMPLES: usize = 500;
 const MEDIAN_NORM_OF_THREE: f64 = 1.538;
 const MEDIAN_OF_ONE: f64 = 0.6745;
 /// Scale of the robust loss, in standard deviations.
-const LOSS: Loss = Loss::Cauchy(2.0);
+pub(super) const LOSS: Loss = Loss::Cauchy(2.0);
 /// A position is an outlier beyond this norm in standard deviations, which one in a hundred right
 /// ones exceeds: the root of the 99 % quantile of χ² with two and three degrees of freedom.
 const MAX_INLIER: [f64; 2] = [3.03, 3.37];
@@ -163,7 +163,24 @@ pub(super) struct Pair {
 }
 
 impl Pair {
-    fn residual(&self, similarity: &Sim3) -> Vector3<f64> {
+    /// A place in the model that is fixed to a camera, with its measured one.
+    pub(super) fn new(
+        cam_from_model: &Rigid3,
+        found: Vector3<f64>,
+        measured: Vector3<f64>,
+        has_height: bool,
+        sigmas_m: Option<[f64; 2]>,
+    ) -> Self {
+        let vertical = if has_height { 1.0 } else { f64::INFINITY };
+        let sigmas = Vector3::new(1.0, 1.0, vertical);
+        let mut pair = Self { found, measured, sigmas, axes: axes(cam_from_model) };
+        if let Some(sigmas_m) = sigmas_m {
+            pair.set_sigmas(sigmas_m);
+        }
+        pair
+    }
+
+    pub(super) fn residual(&self, similarity: &Sim3) -> Vector3<f64> {
         *similarity * self.found - self.measured
     }
 
@@ -175,7 +192,7 @@ impl Pair {
         self.sigmas.z.is_finite()
     }
 
-    fn set_sigmas(&mut self, [horizontal, vertical]: [f64; 2]) {
+    pub(super) fn set_sigmas(&mut self, [horizontal, vertical]: [f64; 2]) {
         let vertical = if self.has_height() { vertical } else { f64::INFINITY };
         self.sigmas = Vector3::new(horizontal, horizontal, vertical);
     }
@@ -208,14 +225,11 @@ pub fn align(
     if compared < MIN_POSITIONS {
         return Err(Misfit::TooFew { compared });
     }
-    let has_heights = pairs.iter().filter(|pair| pair.has_height()).count() >= MIN_POSITIONS;
-    if !has_heights {
-        pairs.iter_mut().for_each(|pair| pair.sigmas.z = f64::INFINITY);
-    }
+    let has_heights = have_heights(&mut pairs);
     let (found, mut level_sd_rad) = match has_heights {
-        true => (spatial(&pairs, keeps_scale, seed), None),
+        true => (spatial(&pairs, keeps_scale, NUM_SAMPLES, seed), None),
         false => {
-            let (found, sd_rad) = planar(&pairs, keeps_scale, seed)?;
+            let (found, sd_rad) = planar(&pairs, keeps_scale, NUM_SAMPLES, seed)?;
             (found, Some(sd_rad))
         }
     };
@@ -296,26 +310,34 @@ fn precision(
 
 fn pair(model: &Reconstruction, position: &MeasuredPosition) -> Option<Pair> {
     let pose = model.image(position.image).cam_from_world()?;
-    let vertical = if position.has_height { 1.0 } else { f64::INFINITY };
-    let mut pair = Pair {
-        found: pose.origin_in_a(),
-        measured: position.xyz,
-        sigmas: Vector3::new(1.0, 1.0, vertical),
-        axes: axes(pose),
-    };
-    if let Some(sigmas_m) = position.sigmas_m {
-        pair.set_sigmas(sigmas_m);
+    let &MeasuredPosition { xyz, has_height, sigmas_m, .. } = position;
+    Some(Pair::new(pose, pose.origin_in_a(), xyz, has_height, sigmas_m))
+}
+
+/// Whether heights count, as those of six positions do; else none does.
+fn have_heights(pairs: &mut [Pair]) -> bool {
+    let has_heights = pairs.iter().filter(|pair| pair.has_height()).count() >= MIN_POSITIONS;
+    if !has_heights {
+        pairs.iter_mut().for_each(|pair| pair.sigmas.z = f64::INFINITY);
     }
-    Some(pair)
+    has_heights
+}
+
+/// The first similarity of positions, the best one of `samples` of three.
+pub(super) fn first_similarity(pairs: &mut [Pair], samples: usize, seed: u64) -> Option<Sim3> {
+    match have_heights(pairs) {
+        true => spatial(pairs, false, samples, seed),
+        false => planar(pairs, false, samples, seed).ok()?.0,
+    }
 }
 
 /// A similarity of corresponding points.
 type Solve<'a> = &'a dyn Fn(&[Vector3<f64>], &[Vector3<f64>]) -> Option<Sim3>;
 
 /// The first similarity of positions with heights.
-fn spatial(pairs: &[Pair], keeps_scale: bool, seed: u64) -> Option<Sim3> {
+fn spatial(pairs: &[Pair], keeps_scale: bool, samples: usize, seed: u64) -> Option<Sim3> {
     let with_height: Vec<&Pair> = pairs.iter().filter(|pair| pair.has_height()).collect();
-    least_median(pairs, &with_height, seed, &|found, measured| {
+    least_median(pairs, &with_height, samples, seed, &|found, measured| {
         umeyama(found, measured, !keeps_scale).or_else(|| along(found, measured, keeps_scale))
     })
 }
@@ -335,7 +357,12 @@ fn along(found: &[Vector3<f64>], measured: &[Vector3<f64>], keeps_scale: bool) -
 
 /// The first similarity of positions without heights, if there is one, and the deviation of the
 /// vertical, which the images give.
-fn planar(pairs: &[Pair], keeps_scale: bool, seed: u64) -> Result<(Option<Sim3>, f64), Misfit> {
+fn planar(
+    pairs: &[Pair],
+    keeps_scale: bool,
+    samples: usize,
+    seed: u64,
+) -> Result<(Option<Sim3>, f64), Misfit> {
     let vertical = vertical(pairs, &UnitQuaternion::identity(), None);
     let (up, sd_rad) = vertical.ok_or(Misfit::NoVertical { is_line: false })?;
     let rotation = UnitQuaternion::rotation_between(&up, &Vector3::z())
@@ -343,7 +370,7 @@ fn planar(pairs: &[Pair], keeps_scale: bool, seed: u64) -> Result<(Option<Sim3>,
     let upright = Sim3 { rotation, ..Sim3::identity() };
     let fit = |pairs: &[Pair]| {
         let all: Vec<&Pair> = pairs.iter().collect();
-        let found = least_median(pairs, &all, seed, &|found, measured| {
+        let found = least_median(pairs, &all, samples, seed, &|found, measured| {
             let found: Vec<Vector3<f64>> = found.iter().map(|place| upright * *place).collect();
             Some(about_the_vertical(&found, measured, keeps_scale)? * upright)
         });
@@ -394,10 +421,16 @@ fn at_mean_height(pairs: &[Pair], mut similarity: Sim3) -> Sim3 {
 }
 
 /// The similarity of three of the `sampled` pairs with the least median of the residuals of all.
-fn least_median(pairs: &[Pair], sampled: &[&Pair], seed: u64, solve: Solve) -> Option<Sim3> {
+fn least_median(
+    pairs: &[Pair],
+    sampled: &[&Pair],
+    samples: usize,
+    seed: u64,
+    solve: Solve,
+) -> Option<Sim3> {
     let mut best: Option<(f64, Sim3)> = None;
     let mut residuals = vec![0.0; pairs.len()];
-    for sample in 0..NUM_SAMPLES {
+    for sample in 0..samples {
         let mut rng = Rng::stream(seed, &[sample as u64]);
         let picked: Vec<&Pair> = (0..3).map(|_| sampled[rng.below(sampled.len())]).collect();
         let found: Vec<Vector3<f64>> = picked.iter().map(|pair| pair.found).collect();
@@ -430,7 +463,7 @@ fn correction(count: usize) -> f64 {
 const MIN_SIGMA_M: f64 = 1e-3;
 
 /// Robust deviations along a horizontal axis and of the height, which is infinite without heights.
-fn deviations(pairs: &[Pair], similarity: &Sim3) -> [f64; 2] {
+pub(super) fn deviations(pairs: &[Pair], similarity: &Sim3) -> [f64; 2] {
     let of = |norms: &mut Vec<f64>, expected: f64| {
         let count = norms.len();
         median(norms).map(|median| (correction(count) * median / expected).max(MIN_SIGMA_M))
@@ -446,7 +479,7 @@ fn deviations(pairs: &[Pair], similarity: &Sim3) -> [f64; 2] {
 }
 
 /// Robust size of the residuals, in their standard deviations.
-fn scale_of_residuals(pairs: &[Pair], similarity: &Sim3) -> f64 {
+pub(super) fn scale_of_residuals(pairs: &[Pair], similarity: &Sim3) -> f64 {
     let mut norms: Vec<f64> =
         pairs.iter().map(|pair| pair.whitened(similarity) / pair.expected()[0]).collect();
     correction(pairs.len()) * median(&mut norms).unwrap_or(0.0)
@@ -516,15 +549,20 @@ pub(super) fn refined(
             break;
         }
         variances = (inverse - fixed).diagonal();
-        let rotation = so3::exp(&step.fixed_rows::<3>(3).into_owned());
-        let scale = step[6].clamp(-1.0, 1.0).exp();
-        let translation = middle - scale * (rotation * middle) + step.fixed_rows::<3>(0);
-        similarity = Sim3 { scale, rotation, translation } * similarity;
+        similarity = updated(&similarity, &step, &middle);
         if step.fixed_rows::<4>(3).norm() < 1e-12 {
             break;
         }
     }
     (similarity, variances.map(|variance| variance.max(0.0)))
+}
+
+/// A similarity after a step of translation, rotation and logarithm of the scale about `middle`.
+pub(super) fn updated(similarity: &Sim3, step: &SVector<f64, 7>, middle: &Vector3<f64>) -> Sim3 {
+    let rotation = so3::exp(&step.fixed_rows::<3>(3).into_owned());
+    let scale = step[6].clamp(-1.0, 1.0).exp();
+    let translation = middle - scale * (rotation * middle) + step.fixed_rows::<3>(0);
+    Sim3 { scale, rotation, translation } * *similarity
 }
 
 /// The places of the positions with heights that fit, in deviations.

@@ -4,13 +4,15 @@
 //! Positions may be wrong: a receiver between walls, a fix that stands still, a file whose columns
 //! are swapped. The similarity is that of least median of squares (Rousseeuw 1984), the term has a
 //! robust loss, and a model with the term counts only if positions that took no part say so
-//! ([`compare`]).
+//! ([`compare`]). Positions with a clock of their own become positions of images by
+//! [`align_track`].
 
 mod alignment;
 mod control_points;
 mod evidence;
 mod measured;
 mod term;
+mod track;
 
 pub use alignment::{Misfit, PositionAlignment, align, may_be_mirrored};
 pub use control_points::{
@@ -19,3 +21,4 @@ pub use control_points::{
 pub use evidence::{Comparison, compare, held_out};
 pub use measured::MeasuredPosition;
 pub use term::PositionTerm;
+pub use track::{TimedPosition, TrackAlignment, TrackMisfit, align_track};

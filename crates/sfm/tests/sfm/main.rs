@@ -15,6 +15,7 @@ mod one_model;
 mod options;
 mod overlays;
 mod point_selection;
+mod position_track;
 mod positions;
 mod repetition;
 mod rig;

@@ -5,6 +5,7 @@ use std::path::Path;
 
 use serde_json::Value;
 use tiepoint_pipeline::io::colmap::read_model;
+use tiepoint_pipeline::io::gpx;
 use tiepoint_pipeline::sfm::geometry::geodesy::{Geodetic, LocalFrame};
 use tiepoint_pipeline::sfm::geometry::nalgebra::Vector3;
 
@@ -105,6 +106,25 @@ fn model_bytes(dir: &Path) -> Vec<Vec<u8>> {
         .to_vec()
 }
 
+/// The path of a georeferenced model is where the truth is.
+fn check_path_for_maps(dir: &Path, truth: &[Vector3<f64>]) {
+    for format in ["geojson", "gpx"] {
+        tiepoint_in(dir, &format!("export {{}}/ws --to {format} -o {{}}/path.{format}")).done();
+    }
+    // The photos of this drive have no times.
+    let gpx = gpx::read(&dir.join("path.gpx"));
+    assert!(gpx.unwrap_err().to_string().contains("has no track point with a time"));
+    let path = json(&dir.join("path.geojson"));
+    let line = path["features"][0]["geometry"]["coordinates"].as_array().unwrap();
+    assert_eq!(line.len(), FRAMES);
+    for (place, there) in line.iter().zip(truth) {
+        let [longitude_deg, latitude_deg, height_m] = [0, 1, 2].map(|k| place[k].as_f64().unwrap());
+        let found = frame().to_local(&Geodetic { latitude_deg, longitude_deg, height_m });
+        // Four times the root mean square.
+        assert!((found - there).norm() < 4.0 * MAX_RMS_M, "{found} {there}");
+    }
+}
+
 #[test]
 fn positions_of_photos_give_scale_north_and_up() {
     let dir = tempfile::tempdir().unwrap();
@@ -151,6 +171,8 @@ fn positions_of_photos_give_scale_north_and_up() {
     let rms_m = (squares.iter().sum::<f64>() / squares.len() as f64).sqrt();
     assert!(squares.len() == FRAMES && rms_m < MAX_RMS_M, "{rms_m} m of {}", squares.len());
 
+    check_path_for_maps(dir, &truth);
+
     // A model that goes on from it is in its frame.
     let origin = fs::read(ws.join("georeference.json")).unwrap();
     tiepoint_in(dir, "reconstruct {}/drive/left -o {}/next --input-model {}/ws").done();
@@ -161,6 +183,8 @@ fn positions_of_photos_give_scale_north_and_up() {
     tiepoint_in(dir, line).done();
     assert_eq!(model_bytes(&ws), without);
     assert!(!ws.join("georeference.json").exists());
+    tiepoint_in(dir, "export {}/ws --to gpx -o {}/no.gpx")
+        .failed(1, &["nothing tells where on the earth"]);
     // A file of the user is theirs, unless positions would replace it.
     fs::write(ws.join("georeference.json"), "mine").unwrap();
     tiepoint_in(dir, line).done();
@@ -265,4 +289,47 @@ fn files_of_positions_are_checked() {
     assert!(text.contains("1 of the 7 positions in"), "{text}");
     assert!(text.contains("positions are not used for sparse/0"), "{text}");
     assert!(!dir.join("ws/georeference.json").exists());
+}
+
+#[test]
+fn tracks_with_a_clock_of_their_own_are_used_where_the_drive_tells_their_offset() {
+    let dir = tempfile::tempdir().unwrap();
+    let dir = dir.path();
+    tiepoint_in(dir, SYNTH).done();
+    let times = fs::read_to_string(dir.join("drive/timestamps.csv")).unwrap();
+    fs::write(dir.join("times.csv"), times.replace("left/", "")).unwrap();
+    tiepoint_in(dir, "reconstruct {}/drive/left -o {}/ws --timestamps {}/times.csv").done();
+    let text = fs::read_to_string(dir.join("drive/truth/left.tum")).unwrap();
+    let times_s = text.lines().map(|line| line.split(' ').next().unwrap().parse::<f64>().unwrap());
+    let fixes: Vec<(f64, Vector3<f64>)> = times_s.zip(truth(dir)).collect();
+    let csv = |rows: &[(f64, Vector3<f64>)], offset_s: f64| {
+        let row = |(time_s, xyz): &(f64, Vector3<f64>)| {
+            format!("{},{},{},{}\n", time_s + offset_s, xyz.x, xyz.y, xyz.z)
+        };
+        let rows: String = rows.iter().map(row).collect();
+        fs::write(dir.join("p.csv"), format!("seconds,x,y,z\n{rows}")).unwrap();
+    };
+    let line = "map {}/ws --redo map --position-priors {}/p.csv";
+    // Exact positions: those of the images in their middle, 100 s later.
+    csv(&fixes, 100.0);
+    let text = tiepoint_in(dir, line).done().stdout();
+    let clock = &json(&dir.join("ws/report.json"))["models"][0]["positions"]["clock"];
+    let offset_s = clock["offset_s"].as_f64().unwrap();
+    // Poses from images of 320 × 240 are known to some centimetres, and the speed is 6 to 9 m/s.
+    assert!((offset_s - 100.0).abs() < 0.02, "{offset_s}: {text}");
+    assert!(text.contains("ahead of that of the photos"), "{text}");
+    assert!(text.contains("the axes of the positions"), "{text}");
+    // Too few, and of another day.
+    csv(&fixes[..4], 100.0);
+    let text = tiepoint_in(dir, line).done().stdout();
+    assert!(text.contains("not used: 4 of them are from the time of the photos"), "{text}");
+    let (day, place) = ("2031-01-01T00:00:0", "lat=\"48\" lon=\"11\"");
+    let point = |second: u8| format!("<trkpt {place}><time>{day}{second}Z</time></trkpt>");
+    let points: String = (0..8).map(point).collect();
+    fs::write(dir.join("p.gpx"), format!("<gpx><trk><trkseg>{points}</trkseg></trk></gpx>"))
+        .unwrap();
+    let text = tiepoint_in(dir, &line.replace("p.csv", "p.gpx")).done().stdout();
+    assert!(text.contains("the positions of the photos are not used"), "{text}");
+    fs::write(dir.join("p.gpx"), "<gpx></gpx>").unwrap();
+    tiepoint_in(dir, &line.replace("p.csv", "p.gpx")).failed(1, &["p.gpx", "has no track point"]);
 }
