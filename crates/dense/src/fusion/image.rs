@@ -65,8 +65,8 @@ impl FusionImage {
     pub fn new(camera: PosedPinhole, depths: DepthMap, colors: Vec<u8>) -> Result<Self, Error> {
         let count = camera.width * camera.height;
         let has_size = (depths.width, depths.height) == (camera.width, camera.height);
-        let lengths = [depths.depths.len(), depths.confidences.len(), colors.len() / 3];
-        if !has_size || lengths != [count; 3] || colors.len() % 3 != 0 {
+        let lengths = [depths.depths.len(), depths.confidences.len()];
+        if !has_size || lengths != [count; 2] || colors.len() != 3 * count {
             let (width, height) = (camera.width as u32, camera.height as u32);
             return Err(Error::Size { width, height, found: colors.len() });
         }
