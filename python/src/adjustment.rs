@@ -150,12 +150,12 @@ fn centers_of(
 ///
 /// - `refine`: the intrinsics that are refined: none, or a list of focal, aspect, principal-point,
 ///   distortion, prism.
-/// - `fixed_poses`: images whose poses stay, as a mask or indices. `fixed_rigs`: whether the poses
-///   of cameras on their rigs stay.
+/// - `fixed_poses`: images whose poses stay, as a mask or indices; of a frame of a rig all images
+///   stay, and need `fixed_rigs`: whether the poses of cameras on their rigs stay.
 /// - `loss`: trivial, huber, soft_l1, cauchy or tukey, of residuals in standard deviations of the
 ///   keypoints, with `loss_scale` in the same unit.
 /// - `focal_priors`: tuples of the index of a camera, a focal length and its standard deviation, in
-///   pixels.
+///   pixels. Cameras that a calibration gave exactly are not refined.
 /// - `centers`: measured centres of the images in the world, of shape (N, 3), NaN for images
 ///   without one; `center_sigmas`: their standard deviations, a number or an array of shape (N,) or
 ///   (N, 3). The model must be near them (`transform`); then they determine its frame.
@@ -183,8 +183,19 @@ pub(crate) fn bundle_adjust<'py>(
     let Reconstruction { model, images, .. } = &mut *reconstruction;
     let fixed =
         fixed_poses.map(|value| selection(value, "fixed_poses", images.len())).transpose()?;
-    let fixed: BTreeSet<ImageId> =
+    let mut fixed: BTreeSet<ImageId> =
         fixed.unwrap_or_default().into_iter().map(|index| images[index]).collect();
+    for frame in model.frames.iter().filter(|frame| frame.images.len() > 1) {
+        if !frame.images.iter().any(|image| fixed.contains(image)) {
+            continue;
+        }
+        if !fixed_rigs {
+            return Err(invalid(
+                "fixed_poses has images of a rig, which move with it: give fixed_rigs=True",
+            ));
+        }
+        fixed.extend(frame.images.iter().copied());
+    }
     let mut priors = Vec::new();
     for (camera, mean_px, sigma_px) in focal_priors {
         if camera >= model.num_cameras() {

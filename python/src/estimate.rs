@@ -23,7 +23,7 @@ type Estimate =
 /// The options; an error if they are out of range.
 fn options(max_error: f64, seed: u64) -> PyResult<RansacOptions> {
     if !(max_error.is_finite() && max_error > 0.0) {
-        return Err(invalid("max_error must be a number of pixels greater than 0"));
+        return Err(invalid("max_error must be a number greater than 0"));
     }
     Ok(RansacOptions { max_error, seed, ..RansacOptions::default() })
 }

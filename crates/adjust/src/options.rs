@@ -79,7 +79,8 @@ pub struct AdjustOptions<'a> {
     pub focal_priors: &'a [FocalPrior],
     /// What fixes the gauge.
     pub gauge: Gauge,
-    /// Images whose poses are constant, in every scope.
+    /// Images whose poses are constant, in every scope. Those of a frame are held as a whole, and
+    /// if [`AdjustOptions::constant_rigs`] holds the rig.
     pub constant_poses: Option<&'a BTreeSet<ImageId>>,
     /// Whether the extrinsics of the model's rigs are constant. Then they determine the scale.
     pub constant_rigs: bool,

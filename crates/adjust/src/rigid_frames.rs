@@ -14,7 +14,7 @@ use tiepoint_geometry::Rigid3;
 use tiepoint_scene::{CameraId, Frame, ImageId, Reconstruction, Rig};
 
 use crate::Error;
-use crate::options::Scope;
+use crate::options::{AdjustOptions, Scope};
 use crate::term::{Term, TermContext};
 use crate::variables::Variables;
 
@@ -28,11 +28,13 @@ pub(crate) struct RigidFrames {
     cam_from_rig: BTreeMap<(usize, usize), Key<Rigid3>>,
     /// Whether all `cam_from_rig` are constant.
     constant_rigs: bool,
+    /// Images whose poses are constant.
+    constant_poses: BTreeSet<ImageId>,
     rig_from_world: Vec<Option<Key<Rigid3>>>,
 }
 
 impl RigidFrames {
-    pub(crate) fn new(model: &Reconstruction, constant_rigs: bool) -> Self {
+    pub(crate) fn new(model: &Reconstruction, options: &AdjustOptions) -> Self {
         let images = model.frames.iter().flat_map(|frame| &frame.images);
         Self {
             rigs: model.rigs.clone(),
@@ -40,7 +42,8 @@ impl RigidFrames {
             cameras: images.map(|image| (*image, model.image(*image).camera)).collect(),
             composed: BTreeMap::new(),
             cam_from_rig: BTreeMap::new(),
-            constant_rigs,
+            constant_rigs: options.constant_rigs,
+            constant_poses: options.constant_poses.cloned().unwrap_or_default(),
             rig_from_world: vec![None; model.frames.len()],
         }
     }
@@ -144,8 +147,10 @@ impl Term for RigidFrames {
                         frame.rig_from_world,
                         EliminationOrder::At(self.composed[first]),
                     );
-                    let is_fixed =
-                        !composed_images_of_frame().any(|image| context.scope.is_variable(*image));
+                    let is_variable = |image: &&ImageId| {
+                        context.scope.is_variable(**image) && !self.constant_poses.contains(image)
+                    };
+                    let is_fixed = !composed_images_of_frame().any(|image| is_variable(&image));
                     if is_fixed {
                         variables.problem_mut().fix(key);
                     }

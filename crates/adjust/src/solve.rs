@@ -32,8 +32,7 @@ pub fn adjust(
     watch: &mut dyn FnMut(&IterationRecord) -> ControlFlow<()>,
 ) -> Result<Summary, Error> {
     options.validate()?;
-    let mut frames =
-        (!model.frames.is_empty()).then(|| RigidFrames::new(model, options.constant_rigs));
+    let mut frames = (!model.frames.is_empty()).then(|| RigidFrames::new(model, options));
     // The frames come first, so that the terms find the poses of their images.
     let frames_term = frames.as_mut().map(|frames| frames as &mut dyn Term);
     let given = terms.iter_mut().map(|term| &mut **term as &mut dyn Term);

@@ -84,15 +84,16 @@ fn last_uses(neighbours: &[Vec<usize>]) -> Vec<usize> {
 }
 
 /// Odds of a point whose depths are as often right as wrong: they agree.
-const AGREED_ODDS: f32 = 8.5;
+const AGREED_ODDS: f64 = 8.5;
 /// Exponent of the product of the odds of depths, which tell in part the same. It and the odds are
 /// fitted on scenes that no table has (`docs/benchmarks/dense.md`).
-const SHARED: f32 = 0.19;
+const SHARED: f64 = 0.19;
 
-/// The probability that a point is right, from the product of the odds of its depths.
-fn confidence(odds: f32) -> f32 {
+/// The probability that a point is right, from the product of the odds of its depths, which single
+/// precision does not hold: of 32 depths it is up to 254³².
+fn confidence(odds: f64) -> f32 {
     let odds = AGREED_ODDS * odds.powf(SHARED);
-    odds / (1.0 + odds)
+    (odds / (1.0 + odds)) as f32
 }
 
 /// The pixels of a row whose surface is in the cloud, or will be.
@@ -168,7 +169,7 @@ fn fuse_pixel(
     let mut views = 1u32;
     let (mut depth, mut normal) = (own.depth, own.normal);
     let mut color = own.color.map(u32::from);
-    let mut odds = own.odds;
+    let mut odds = f64::from(own.odds);
     let point = reference.world_point(&own, own.depth);
     let min_cosine = options.max_normal_error_rad.cos();
     let mut finest = (1.0, None);
@@ -189,7 +190,7 @@ fn fuse_pixel(
         views |= 2 << slot;
         depth += other_depth;
         normal += surface.normal;
-        odds *= surface.odds;
+        odds *= f64::from(surface.odds);
         (0..3).for_each(|channel| color[channel] += u32::from(surface.color[channel]));
     }
     let count = views.count_ones();
@@ -215,4 +216,18 @@ fn fuse_pixel(
         views,
     };
     Some(Outcome::Point(point))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn points_of_many_sure_depths_are_sure() {
+        // The odds of the surest and of the most doubtful depth are 254 and 1 / 254.
+        assert_eq!(confidence(254f64.powi(32)), 1.0);
+        let doubtful = confidence(254f64.powi(-32));
+        assert!(0.0 < doubtful && doubtful < 1e-10, "{doubtful}");
+        assert!((confidence(1.0) - 8.5 / 9.5).abs() < 1e-6);
+    }
 }
