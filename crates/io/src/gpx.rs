@@ -103,11 +103,14 @@ fn seconds_of(text: &str) -> Option<f64> {
         && (0.0..60.0).contains(&minute)
         && (0.0..61.0).contains(&second)
         && east_s.abs() < 86_400.0;
+    if !is_date {
+        return None;
+    }
     // Days of the proleptic Gregorian calendar; years begin in March, so that the leap day is the
     // last one.
     let (y, m) = if month > 2 { (year, month - 3) } else { (year - 1, month + 9) };
     let days = 365 * y + y / 4 - y / 100 + y / 400 + (153 * m + 2) / 5 + day - 1 - 719_468;
-    is_date.then(|| days as f64 * 86_400.0 + hour * 3600.0 + minute * 60.0 + second - east_s)
+    Some(days as f64 * 86_400.0 + hour * 3600.0 + minute * 60.0 + second - east_s)
 }
 
 /// Three numbers between separators.
@@ -150,6 +153,7 @@ mod tests {
             "",
             "2024-02-29",
             "2024-13-01T00:00:00Z",
+            "9999999999999999999-01-01T00:00:00Z",
             "2024-02-29T24:00:00Z",
             "29.2.2024T1:2:3",
             "2024-02-29T12:34Z",

@@ -45,7 +45,7 @@ impl PositionTrack {
     /// than three usual intervals.
     pub fn place_of(&self, time_s: f64) -> Option<(usize, f64)> {
         let last = self.times_s.len().checked_sub(1).filter(|last| *last > 0)?;
-        if !(self.times_s[0] <= time_s && time_s <= self.times_s[last]) {
+        if !(self.times_s[0]..=self.times_s[last]).contains(&time_s) {
             return None;
         }
         let after = self.times_s.partition_point(|other| *other <= time_s);

@@ -84,7 +84,7 @@ impl Telemetry {
             });
             found
         });
-        let of_stream = || Some(streams.get(b"SROT")?.first()?.1.first().copied()?);
+        let of_stream = || streams.get(b"SROT")?.first()?.1.first().copied();
         let readout_s = of_settings.or_else(of_stream).map(|milliseconds| milliseconds / 1e3);
         Self { readout_s: readout_s.filter(|time_s| time_s.is_finite()), streams }
     }
@@ -191,8 +191,11 @@ fn for_each_stream(bytes: &[u8], depth: usize, f: &mut impl FnMut(&[u8])) {
     }
 }
 
-/// The key of the measurements of a stream, and the measurements in their units.
-fn measurements_of(stream: &[u8]) -> Option<([u8; 4], Vec<Vec<f64>>, Option<Stamp>)> {
+/// The key of a stream, its measurements in their units, and their stamp.
+type OfStream = ([u8; 4], Vec<Vec<f64>>, Option<Stamp>);
+
+/// The measurements of a stream.
+fn measurements_of(stream: &[u8]) -> Option<OfStream> {
     let key = records(stream).last()?.key;
     let (mut scales, mut letters, mut fix) = (Vec::new(), None, None);
     let (mut first_us, mut total) = (None, None);

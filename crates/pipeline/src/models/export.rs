@@ -283,7 +283,7 @@ fn write_as(
         }
         ExportFormat::GeoJson | ExportFormat::Gpx => {
             let (mark, write) = geo_writer(located, format)?;
-            file(Some(mark), &write)?;
+            file(Some(mark), &*write)?;
             points = 0;
         }
         ExportFormat::Tum => {
@@ -309,17 +309,18 @@ fn timed_trajectory_of(located: &LocatedModel) -> Result<Vec<TimedPose>, Error> 
     }
 }
 
+/// What writes a file.
+type Writer = Box<dyn Fn(&Path) -> Result<(), Error>>;
+
 /// What writes the paths of a georeferenced model, and how its files are known.
-fn geo_writer(
-    located: &LocatedModel,
-    format: ExportFormat,
-) -> Result<(Mark, impl Fn(&Path) -> Result<(), Error>), Error> {
+fn geo_writer(located: &LocatedModel, format: ExportFormat) -> Result<(Mark, Writer), Error> {
     let (paths, has_heights) = geo_paths(located)?;
     let (start, write): (_, fn(&Path, &[GeoPath], bool) -> _) = match format {
         ExportFormat::Gpx => (geo_path::GPX_START, geo_path::write_gpx),
         _ => (geo_path::GEOJSON_START, geo_path::write_geojson),
     };
-    Ok((Mark::Start(start), move |to: &Path| Ok(write(to, &paths, has_heights)?)))
+    let write = move |to: &Path| Ok(write(to, &paths, has_heights)?);
+    Ok((Mark::Start(start), Box::new(write)))
 }
 
 /// The path of each stream of a georeferenced model on the earth, in order of time or of names, and

@@ -261,14 +261,16 @@ fn with_unique_names(mut recordings: Vec<Recording>) -> Result<Vec<Recording>, E
     Ok(recordings)
 }
 
-/// Stages the selected frames of all recordings and their capture times. Returns the file names,
-/// what is to be noted, and where the frames were taken.
+/// Names of files, what is to be noted, and where the frames were taken.
+type Extracted = (Vec<String>, Vec<String>, Vec<FramePosition>);
+
+/// Stages the selected frames of all recordings and their capture times.
 fn extract(
     recordings: &[Recording],
     frames: &OutputFolder,
     every: Option<NonZeroUsize>,
     watch: Watch,
-) -> Result<(Vec<String>, Vec<String>, Vec<FramePosition>), Error> {
+) -> Result<Extracted, Error> {
     // Names and capture times of the selected frames.
     let mut selected: Vec<(String, f64)> = Vec::new();
     let (mut notes, mut positions) = (Vec::new(), Vec::new());

@@ -320,8 +320,7 @@ impl<'a> Drive<'a> {
         for _ in 0..30 {
             let is_stated = self.track.iter().all(|position| position.sigmas_m.is_some());
             let sigmas = deviations(&pairs, &fit.similarity);
-            let step = self.step(&fit, (!is_stated).then_some(sigmas))?;
-            fit = step;
+            fit = self.step(&fit, (!is_stated).then_some(sigmas))?;
             pairs = self.pairs(&fit, 1);
             if pairs.len() < MIN_POSITIONS {
                 return None;
@@ -470,6 +469,5 @@ fn error(pairs: &[Pair], similarity: &Sim3) -> f64 {
         if pair.sigmas.z.is_finite() { residual.norm() } else { residual.xy().norm() }
     };
     let mut residuals: Vec<f64> = pairs.iter().map(residual).collect();
-    median(&mut residuals).map_or(f64::INFINITY, |median| median)
-        / (spread / pairs.len() as f64).sqrt()
+    median(&mut residuals).unwrap_or(f64::INFINITY) / (spread / pairs.len() as f64).sqrt()
 }
