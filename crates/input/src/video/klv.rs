@@ -47,11 +47,14 @@ impl Record<'_> {
 
     /// The numbers of each element, with the letters of a record `TYPE`. What is no number is NaN.
     pub(super) fn elements(&self, letters: Option<&[u8]>) -> Vec<Vec<f64>> {
+        if self.element_len == 0 {
+            return Vec::new();
+        }
         let letters = match self.kind {
             b'?' => expanded(letters.unwrap_or_default()),
             kind => vec![kind; self.element_len / len_of(kind).max(1)],
         };
-        if self.element_len == 0 || letters.iter().any(|letter| len_of(*letter) == 0) {
+        if letters.iter().any(|letter| len_of(*letter) == 0) {
             return Vec::new();
         }
         let element = |mut bytes: &[u8]| {
@@ -71,17 +74,21 @@ impl Record<'_> {
     }
 }
 
+/// Most letters: an element has at most 255 bytes.
+const MAX_LETTERS: usize = 255;
+
 /// The letters of a record `TYPE`, in which `f[3]` are three.
 fn expanded(letters: &[u8]) -> Vec<u8> {
     let mut expanded: Vec<u8> = Vec::new();
     let mut rest = letters;
-    while let Some((&letter, after)) = rest.split_first() {
+    while let Some((&letter, after)) = rest.split_first()
+        && expanded.len() <= MAX_LETTERS
+    {
         rest = after;
         match letter {
             0 => {}
             b'[' => {
                 let Some(end) = rest.iter().position(|byte| *byte == b']') else { break };
-                // An element has at most 255 bytes.
                 let count: Option<u8> =
                     std::str::from_utf8(&rest[..end]).ok().and_then(|text| text.parse().ok());
                 let (Some(count), Some(&repeated)) = (count, expanded.last()) else { break };
@@ -172,5 +179,6 @@ pub(super) mod tests {
         assert_eq!(found.elements(Some(b"lSU")), [vec![-7.0, 3.0]]);
         assert!(found.elements(Some(b"lz")).is_empty());
         assert_eq!(found.elements(None), [vec![0.0; 0]]);
+        assert!(expanded(&b"f[255]".repeat(1000)).len() < 3 * MAX_LETTERS);
     }
 }

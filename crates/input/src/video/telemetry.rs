@@ -45,7 +45,13 @@ impl Telemetry {
     fn of_file(file: &mut (impl Read + Seek), length: u64) -> io::Result<Option<Self>> {
         let Some(samples) = samples(file, length, b"gpmd")? else { return Ok(None) };
         let mut payloads = Vec::new();
+        // Samples do not overlap: a hostile table may name the same bytes again and again.
+        let mut left = length;
         for sample in samples {
+            left = match left.checked_sub(sample.bytes.end - sample.bytes.start) {
+                Some(left) => left,
+                None => break,
+            };
             // A truncated file has the payloads before its end.
             if sample.bytes.end <= length
                 && let Some(bytes) = read_range(file, sample.bytes.clone())?
@@ -61,7 +67,9 @@ impl Telemetry {
         let mut blocks: BTreeMap<[u8; 4], Vec<Block>> = BTreeMap::new();
         for (sample, bytes) in payloads {
             for_each_stream(bytes, 0, &mut |stream| {
-                if let Some((key, elements, stamp)) = measurements_of(stream) {
+                if let Some((key, elements, stamp)) = measurements_of(stream)
+                    && KEYS.contains(&&key)
+                {
                     let times_s = sample.times_s.clone();
                     let of_key = blocks.entry(key).or_default();
                     of_key.push(Block { times_s, stamp, elements });
@@ -114,9 +122,17 @@ impl Telemetry {
                 is_fixed.then_some((*time_s, position))
             })
         };
-        PositionTrack::new(of(b"GPS9", GPS9_FIX).chain(of(b"GPS5", GPS5_FIX)))
+        // A HERO11 records both, at other times, of one receiver.
+        match self.measurements(b"GPS9") {
+            [] => PositionTrack::new(of(b"GPS5", GPS5_FIX)),
+            _ => PositionTrack::new(of(b"GPS9", GPS9_FIX)),
+        }
     }
 }
+
+/// The streams that are kept: those of the gyroscope and of the accelerometer are large, and nobody
+/// uses them.
+const KEYS: [&[u8; 4]; 6] = [b"GPS5", b"GPS9", b"GRAV", b"CORI", b"SHUT", b"SROT"];
 
 /// Where the kind of fix is: in GPS9 behind latitude, longitude, altitude, two speeds, days,
 /// seconds and DOP; in GPS5, behind latitude, longitude, altitude and two speeds, it is put there
@@ -346,14 +362,14 @@ mod tests {
         };
         let payload = |elements: &[Vec<u8>]| {
             let scales = longs(&[10_000_000, 10_000_000, 1000, 1000, 100, 1, 1000, 100, 1]);
-            stream(
-                None,
-                &[
-                    record(b"TYPE", b'c', 1, b"lllllllSS"),
-                    record(b"SCAL", b'l', 4, &scales),
-                    record(b"GPS9", b'?', 32, &elements.concat()),
-                ],
-            )
+            let new = [
+                record(b"TYPE", b'c', 1, b"lllllllSS"),
+                record(b"SCAL", b'l', 4, &scales),
+                record(b"GPS9", b'?', 32, &elements.concat()),
+            ];
+            // A HERO11 also records the older stream, which does not count.
+            let old = gps5(3, &[[330_000_000, 20_000_000, 0, 0, 0]; 3]);
+            [stream(None, &new), stream(None, &old)].concat()
         };
         let bytes = video(&[
             payload(&[element(10_000_000, 3), element(0, 0)]),
