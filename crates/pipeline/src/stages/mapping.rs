@@ -710,7 +710,7 @@ fn apply_input_model(
 
 /// Reads the scene without poses from the database.
 pub(crate) fn load_scene(workspace: &Workspace) -> Result<Reconstruction, Error> {
-    let database = Database::open(&workspace.database())?;
+    let database = Database::open_read_only(&workspace.database())?;
     let mut scene = read_scene(&database)?;
     let value = |key: &str| workspace.records.option(Stage::Features, key);
     CalibrationFacts::read(value).add_to(&mut scene);
@@ -723,17 +723,14 @@ pub(crate) fn load_scene(workspace: &Workspace) -> Result<Reconstruction, Error>
         let time_s = times.get(&scene.image(id).name).copied();
         scene.set_time(id, time_s);
     }
-    database.close()?;
     Ok(scene)
 }
 
 /// Reads the correspondence graph from the database. The scene may have further images.
 fn load_graph(workspace: &Workspace, scene: &Reconstruction) -> Result<CorrespondenceGraph, Error> {
-    let database = Database::open(&workspace.database())?;
+    let database = Database::open_read_only(&workspace.database())?;
     let counts: Vec<usize> = scene.images().map(|(_, image)| image.keypoints.len()).collect();
-    let graph = CorrespondenceGraph::new(&counts, database.read_two_views()?);
-    database.close()?;
-    Ok(graph)
+    Ok(CorrespondenceGraph::new(&counts, database.read_two_views()?))
 }
 
 /// [`Error::OneSpot`] if no image got a pose and most pairs agree with a homography,

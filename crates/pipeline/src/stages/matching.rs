@@ -93,10 +93,8 @@ fn resolved(
     if by_record != PairSelection::Auto || recorded == Some(&*by_record.to_string()) {
         return Ok(by_record);
     }
-    let database = Database::open(&workspace.database())?;
-    let found = pair_choice::resolved_in(&database, pairs)?;
-    database.close()?;
-    Ok(found)
+    // Other shards may have it open.
+    pair_choice::resolved_in(&Database::open_read_only(&workspace.database())?, pairs)
 }
 
 /// Matches and verifies the pairs of a workspace that has features, or resumes that.
