@@ -1,5 +1,5 @@
-//! Times of images: CSV; positions of images, tracks, and similarities. What is read comes back when it is
-//! written.
+//! Times of images: CSV; positions of images, tracks, and similarities. What is read comes back
+//! when it is written.
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;

@@ -77,8 +77,8 @@ pub fn write_geojson(path: &Path, paths: &[GeoPath], has_heights: bool) -> Resul
     Ok(AtomicFile::write_with(path, |out| out.write_all(text.as_bytes()))?)
 }
 
-/// Writes a track for each path, with the names of the photos, their heights with `has_heights`, and
-/// their times in UTC, where they are known.
+/// Writes a track for each path, with the names of the photos, their heights with `has_heights`,
+/// and their times in UTC, where they are known.
 ///
 /// # Errors
 ///

@@ -231,6 +231,8 @@ impl<'a> Mapper<'a> {
                 checkpoints,
             )?;
         }
+        // Joined and merged models may have outgrown others.
+        sort_by_size(&mut models);
         Ok(models)
     }
 }

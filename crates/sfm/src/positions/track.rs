@@ -32,8 +32,9 @@ const MIN_WORSE: f64 = 1.2;
 /// Largest standard deviation of an offset that is of use, with a known arm.
 const MAX_OFFSET_SD_S: f64 = 0.5;
 /// Standard deviation of the lever arm along each axis before the motion tells it: what arms of
-/// cars and drones are. Without it the arm would have to be told by the motion, or be left out, and the
-/// offset would be too certain: at a constant speed, an antenna behind the camera is a later clock.
+/// cars and drones are. Without it the arm would have to be told by the motion, or be left out, and
+/// the offset would be too certain: at a constant speed, an antenna behind the camera is a later
+/// clock.
 const ARM_SD_M: f64 = 1.0;
 /// Consecutive positions have similar errors: deviations are those of sums over this many blocks of
 /// time (a sandwich estimator, Liang & Zeger 1986).
