@@ -2,7 +2,8 @@
 # Features and matches as arrays of Slurm, then the model:
 #     sh slurm.sh PHOTOS WORKSPACE [SHARDS] [OPTIONS OF SBATCH...]
 # Photos, workspace and program are on a folder that all nodes share. Slurm starts a task again
-# whose node is lost; one that failed is given again by its line with --array=NUMBER.
+# whose node is lost. When one has failed, the jobs behind it never begin: cancel them, and give
+# this script again as a whole. Shards that have tiles and stages that are complete do nothing then.
 set -eu
 photos=$1 workspace=$2 shards=${3:-16}
 shift 2

@@ -48,7 +48,7 @@ pub(crate) fn shard(report: &ShardReport) -> String {
         None => format!("the stage {stage} is complete: nothing is left for shard {shard}\n"),
         Some(tile) => {
             let was = if *is_kept { " was there" } else { "" };
-            format!("shard {shard} of {stage} in {}{was}\n", printable(&tile.display().to_string()))
+            format!("shard {shard} of {stage} in {}{was}\n", printable(tile))
         }
     }
 }

@@ -24,11 +24,15 @@ impl HashedFile {
     ///
     /// # Errors
     ///
-    /// If a part of the name is a link, and those of [`AtomicFile::create`].
+    /// If a part of the name is a link, if what has the name is no regular file, and those of
+    /// [`AtomicFile::create`].
     pub fn create(folder: &Folder, name: &str) -> Result<Self> {
         let path = folder.join(name);
         if let Some(path) = folder.find_link(name).map_err(Error::output(&path))? {
             return Err(Error::LinkInFolder { path });
+        }
+        if is_file(folder, name).map_err(Error::output(&path))? == Some(false) {
+            return Err(Error::ForeignFile { path });
         }
         Ok(Self { file: AtomicFile::create(path)?, hash: blake3::Hasher::new() })
     }
@@ -62,16 +66,18 @@ impl Write for HashedFile {
 ///
 /// # Errors
 ///
-/// If a part of the name is a link, if there is no such file, or it cannot be read.
+/// If a part of the name is a link, if there is no such file, if it is no regular file, or it
+/// cannot be read.
 pub fn open_hashed(folder: &Folder, name: &str) -> Result<Option<(File, u64)>> {
     let path = folder.join(name);
     let failed = || Error::unreadable(&path);
     if let Some(path) = folder.find_link(name).map_err(failed())? {
         return Err(Error::LinkInFolder { path });
     }
-    let found = folder.metadata(name).map_err(failed())?;
-    if !found.is_some_and(|found| found.is_file()) {
-        return Err(failed()(io::ErrorKind::NotFound.into()));
+    match is_file(folder, name).map_err(failed())? {
+        None => return Err(failed()(io::ErrorKind::NotFound.into())),
+        Some(false) => return Err(Error::ForeignFile { path }),
+        Some(true) => {}
     }
     let mut file = folder.open_file(name).map_err(failed())?;
     let length = file.metadata().map_err(failed())?.len();
@@ -90,6 +96,12 @@ pub fn open_hashed(folder: &Folder, name: &str) -> Result<Option<(File, u64)>> {
     file.read_exact(&mut written).map_err(failed())?;
     file.seek(SeekFrom::Start(0)).map_err(failed())?;
     Ok((hash.finalize() == written).then_some((file, length)))
+}
+
+/// Whether what has a name is a regular file; `None` if nothing has it. A named pipe would block
+/// until another process opens it.
+fn is_file(folder: &Folder, name: &str) -> io::Result<Option<bool>> {
+    Ok(folder.metadata(name)?.map(|found| found.is_file()))
 }
 
 #[cfg(test)]
@@ -131,5 +143,19 @@ mod tests {
         let folder = Folder::open(dir.path()).unwrap();
         assert!(matches!(HashedFile::create(&folder, "a"), Err(Error::LinkInFolder { .. })));
         assert!(matches!(open_hashed(&folder, "a"), Err(Error::LinkInFolder { .. })));
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn no_folder_and_no_pipe_is_opened() {
+        let dir = tempfile::tempdir().unwrap();
+        fs::create_dir(dir.path().join("folder")).unwrap();
+        let pipe = dir.path().join("pipe");
+        assert!(std::process::Command::new("mkfifo").arg(pipe).status().unwrap().success());
+        let folder = Folder::open(dir.path()).unwrap();
+        for name in ["folder", "pipe"] {
+            assert!(matches!(HashedFile::create(&folder, name), Err(Error::ForeignFile { .. })));
+            assert!(matches!(open_hashed(&folder, name), Err(Error::ForeignFile { .. })));
+        }
     }
 }

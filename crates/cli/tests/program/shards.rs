@@ -162,6 +162,53 @@ fn a_shard_that_is_missing_or_wrong_is_named() {
     }
 }
 
+/// Shards of a complete stage, and files of others among the tiles.
+#[test]
+fn tiles_of_other_options_and_files_of_others_stay() {
+    let dir = tempfile::tempdir().unwrap();
+    let dir = dir.path();
+    photos::write(&dir.join("photos"), COUNT, 0);
+    let tiles = dir.join("ws").join(TILES);
+    let (plain, redo) = ("features {}/photos -o {}/ws", "--max-size 100 --redo features");
+    tiepoint_in(dir, plain).done();
+    run_all(dir, &format!("{plain} {redo}"));
+    fs::write(tiles.join("features-02-of-4"), "mine").unwrap();
+    let begun = temporary_path(&tiles.join("features-3-of-4"));
+    fs::write(&begun, "of a killed shard").unwrap();
+    let kept = tiepoint_in(dir, plain).done();
+    let note = "of shard 1/3 was made with --max-size 100 and not";
+    assert!(kept.stderr().contains(note), "{}", kept.stderr());
+    assert!(!begun.exists());
+    let left = || fs::read_dir(&tiles).unwrap().count();
+    assert_eq!(left(), SHARDS + 1, "none is removed unread");
+    let report = tiepoint_in(dir, &format!("{plain} {redo} --json")).done();
+    let done = report.events().into_iter().filter(|event| event["event"] == "image_done").count();
+    assert_eq!(done, COUNT);
+    assert_eq!(left(), 1, "taken and removed");
+    run_all(dir, &format!("{plain} {redo}"));
+    tiepoint_in(dir, &format!("{plain} --max-size 100")).done();
+    assert_eq!(fs::read(tiles.join("features-02-of-4")).unwrap(), b"mine");
+    assert_eq!(left(), 1, "the database has the same");
+}
+
+/// JSON has no bytes that are not UTF-8.
+#[cfg(target_os = "linux")]
+#[test]
+fn path_that_is_not_utf8_is_shown_in_json() {
+    use std::os::unix::ffi::OsStrExt;
+
+    let dir = tempfile::tempdir().unwrap();
+    photos::write(&dir.path().join("photos"), COUNT, 0);
+    let workspace = dir.path().join(std::ffi::OsStr::from_bytes(b"caf\xe9"));
+    let mut command = Command::new(env!("CARGO_BIN_EXE_tiepoint"));
+    command.arg("features").arg(dir.path().join("photos")).arg("-o").arg(&workspace);
+    let output = command.args(["--shard", "1/3", "--json"]).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let report: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    let tile = report["tile"].as_str().unwrap();
+    assert!(tile.ends_with("caf\u{fffd}/.tiepoint-tiles/features-1-of-3"), "{tile}");
+}
+
 /// Shards run side by side, and not beside a command that changes the workspace.
 #[test]
 fn shards_share_a_workspace_with_shards_alone() {

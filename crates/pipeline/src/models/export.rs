@@ -28,6 +28,7 @@ use crate::models::rigid::{RigidReport, rigid_model};
 use crate::models::{kalibr, rolling_shutter};
 use crate::workspace::file_marks::{COMMENT, COMMENT_MARK, GLTF_MARK, LAS_MARK, PLY_MARK};
 use crate::workspace::folder::{current_records, is_workspace, refuse_workspace};
+use crate::workspace::format::path_text;
 use crate::workspace::image_names::first_stream;
 use crate::workspace::located_model::LocatedModel;
 use crate::workspace::model_output::{model_names, refuse_shadow, renamed, stage_model};
@@ -116,6 +117,7 @@ impl ExportFormat {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Exported {
     /// The file or folder that was written.
+    #[serde(serialize_with = "path_text")]
     pub path: PathBuf,
     /// Number of poses in it.
     pub poses: usize,

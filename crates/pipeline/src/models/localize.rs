@@ -30,6 +30,7 @@ use crate::stages::pair_choice::learn_retrieval;
 use crate::stages::verification::{match_pairs, verify};
 use crate::workspace::database_scene::read_scene;
 use crate::workspace::folder::{DATABASE, current_records, is_workspace};
+use crate::workspace::format::path_text;
 use crate::workspace::located_model::LocatedModel;
 use crate::workspace::model_output::write_colmap;
 use crate::workspace::option_names::EXTRACTOR;
@@ -93,6 +94,7 @@ impl Default for LocalizeOptions {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct LocalizeReport {
     /// The folder of the model with the photos.
+    #[serde(serialize_with = "path_text")]
     pub path: PathBuf,
     /// Number of photos with a pose.
     pub localized: usize,

@@ -19,6 +19,7 @@ use tiepoint_sfm::scene::{Georeference, Position, Reconstruction};
 use tiepoint_store::{Replace, write_file};
 
 use crate::Error;
+use crate::workspace::format::path_text;
 use crate::workspace::located_model::LocatedModel;
 use crate::workspace::model_output::refuse_foreign_model;
 
@@ -43,6 +44,7 @@ pub struct CameraInfo {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ModelInfo {
     /// The folder of the model.
+    #[serde(serialize_with = "path_text")]
     pub path: PathBuf,
     /// The cameras.
     pub cameras: Vec<CameraInfo>,
@@ -94,6 +96,7 @@ impl From<&Sim3> for SimilarityInfo {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ModelChange {
     /// The folder of the new model.
+    #[serde(serialize_with = "path_text")]
     pub path: PathBuf,
     /// Number of images with a pose in the new model.
     pub images: usize,
@@ -155,6 +158,7 @@ pub struct ControlPointInfo {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct MergedInfo {
     /// The model.
+    #[serde(serialize_with = "path_text")]
     pub path: PathBuf,
     /// How it fits.
     pub alignment: AlignmentInfo,

@@ -16,6 +16,7 @@ use tiepoint_store::{OutputFolder, disk};
 
 use crate::models::rolling_shutter::detected_keypoints;
 use crate::workspace::folder::refuse_workspace;
+use crate::workspace::format::path_text;
 use crate::workspace::located_model::LocatedModel;
 use crate::workspace::model_output::{model_names, refuse_shadow, stage_model};
 use crate::workspace::model_photos::{ModelPhotos, decoder_bytes, undistorted_mask};
@@ -71,6 +72,7 @@ pub struct UndistortFolderOptions {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Undistorted {
     /// The output folder.
+    #[serde(serialize_with = "path_text")]
     pub path: PathBuf,
     /// Number of images.
     pub images: usize,

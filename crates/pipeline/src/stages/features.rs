@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use tiepoint_input::cameras::{
-    Calibration, CalibrationSource, Calibrations, FoundCameras, Photo, firsts,
+    Calibration, CalibrationSource, Calibrations, FOUND, FoundCameras, Photo, firsts,
 };
 use tiepoint_input::fingerprint::hash_file;
 use tiepoint_input::parallel::{budget_bytes, for_each_within_budget};
@@ -155,7 +155,7 @@ pub fn extract_shard(
 ) -> Result<ShardReport, Error> {
     let photos = &photos.with_max_pixels(options.max_pixels);
     let (survey, recipe, _) = Survey::new(photos, options)?;
-    let stage = Stage::Features;
+    let (stage, recipe) = (Stage::Features, survey.recipe_of_tiles(&recipe));
     workspace.run_shard(stage, (shard, &recipe), redo, watch, |tile, watch| {
         let all: Vec<(ImageId, &Photo)> = survey.photos().collect();
         let own = &all[shard.range(all.len())];
@@ -208,6 +208,18 @@ impl<'a> Survey<'a> {
         Ok((survey, recipe, skipped))
     }
 
+    /// The recipe of tiles, from that of the stage. Image ids count the usable photos, which are
+    /// others where a header could not be read in passing.
+    fn recipe_of_tiles(&self, recipe: &Recipe) -> Recipe {
+        let mut hash = blake3::Hasher::new();
+        for name in self.usable.iter().map(|photo| self.photos.name(photo)) {
+            hash.update(&(name.len() as u64).to_le_bytes()).update(name.as_bytes());
+        }
+        let mut recipe = recipe.clone();
+        recipe.options.insert(format!("{FOUND}photos"), hash.finalize().to_hex().to_string());
+        recipe
+    }
+
     fn photos(&self) -> impl Iterator<Item = (ImageId, &Photo)> {
         let photos = self.usable.iter().enumerate();
         photos.map(|(index, photo)| (ImageId::from_index(index), photo))
@@ -253,6 +265,7 @@ impl<'a> Survey<'a> {
         recipe: &Recipe,
         mut skipped: Vec<SkippedImage>,
     ) -> Result<StageResult, Error> {
+        let recipe = &self.recipe_of_tiles(recipe);
         // What is wrong with them is said before anything is replaced.
         run.workspace.for_each_tile(Stage::Features, recipe, |_| Ok(()))?;
         let mut database = self.begin(run)?;
@@ -281,7 +294,10 @@ impl<'a> Survey<'a> {
         };
         let of_tiles = workspace.for_each_tile(Stage::Features, recipe, |mut tile| {
             while let Some((id, features)) = tile.next_features()? {
-                take(&mut counts, id, Ok(features))?;
+                // An interrupted run has written those of some images.
+                if counts.get(id.index()) == Some(&None) {
+                    take(&mut counts, id, Ok(features))?;
+                }
             }
             Ok(())
         });
@@ -515,4 +531,26 @@ fn is_sqlite(path: &Path) -> bool {
     let read =
         File::open(path).and_then(|file| file.take(HEADER.len() as u64).read_to_end(&mut head));
     read.is_ok() && head == HEADER
+}
+
+#[cfg(test)]
+mod tests {
+    use tiepoint_synth::image::{GrayImage, Luma};
+
+    use super::*;
+
+    #[test]
+    fn tiles_name_the_photos_that_number_the_images() {
+        let dir = tempfile::tempdir().unwrap();
+        for value in 0..3 {
+            let photo = GrayImage::from_pixel(64, 48, Luma([value]));
+            photo.save(dir.path().join(format!("{value}.png"))).unwrap();
+        }
+        let photos = Photos::open(&[dir.path().to_owned()], None).unwrap();
+        let (mut survey, recipe, _) = Survey::new(&photos, &FeatureOptions::default()).unwrap();
+        let of_all = survey.recipe_of_tiles(&recipe);
+        assert_eq!(of_all.difference(&recipe, Stage::Features), None, "no option differs");
+        survey.usable.remove(1);
+        assert_ne!(survey.recipe_of_tiles(&recipe), of_all);
+    }
 }

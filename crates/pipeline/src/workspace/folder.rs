@@ -3,6 +3,8 @@
 use std::ffi::OsStr;
 use std::fs::{self, File, OpenOptions, TryLockError};
 use std::path::{Component, Path, PathBuf};
+use std::thread;
+use std::time::{Duration, Instant};
 
 use tiepoint_io::database::{Database, read_stage_rows};
 use tiepoint_store::{Error as StoreError, OutputFolder, disk};
@@ -23,6 +25,12 @@ pub struct Workspace {
 }
 
 const LOCK: &str = ".lock";
+/// Longest time that a shard waits for another one that completes what an interrupted run has
+/// committed, and for its lock when it just has.
+const MAX_WAIT: Duration = Duration::from_secs(30);
+const MAX_WAIT_FOR_LOCK: Duration = Duration::from_secs(1);
+/// Time between two looks.
+const LOOK: Duration = Duration::from_millis(50);
 /// Folders above a result of a workspace: `dense/stereo/depth_maps/NAME` is the deepest.
 const MAX_RESULT_DEPTH: usize = 8;
 pub(crate) const STAGES: &str = "stages.json";
@@ -82,12 +90,26 @@ impl Workspace {
     }
 
     /// Opens or creates a workspace for a shard. Shards may use it at the same time, and no other
-    /// run. They change none of its files.
+    /// run. They change none of its files, except that the first one completes what an interrupted
+    /// run has committed, and those that start with it wait.
     ///
     /// # Errors
     ///
     /// Those of [`Workspace::create`].
     pub fn create_shared(root: &Path) -> Result<Self, Error> {
+        let is_unfinished = OutputFolder::is_unfinished(root);
+        let until = Instant::now() + if is_unfinished { MAX_WAIT } else { MAX_WAIT_FOR_LOCK };
+        loop {
+            match Self::share(root) {
+                Err(Error::Store(StoreError::InUse { .. })) if Instant::now() < until => {
+                    thread::sleep(LOOK);
+                }
+                shared => return shared,
+            }
+        }
+    }
+
+    fn share(root: &Path) -> Result<Self, Error> {
         if OutputFolder::is_unfinished(root) {
             // Completes what an interrupted run has committed.
             drop(Self::create(root)?);
@@ -444,6 +466,23 @@ mod tests {
         assert!(matches!(Workspace::create(&root), Err(Error::Store(StoreError::InUse { .. }))));
         drop(held);
         Workspace::create(&root).unwrap();
+    }
+
+    #[test]
+    fn shards_wait_for_one_that_completes_what_a_killed_run_committed() {
+        let dir = tempfile::tempdir().unwrap();
+        drop(Workspace::create(dir.path()).unwrap());
+        fs::create_dir(dir.path().join(".tiepoint-commit")).unwrap();
+        let held = lock(dir.path(), false).unwrap();
+        thread::scope(|scope| {
+            let shards: Vec<_> =
+                (0..4).map(|_| scope.spawn(|| Workspace::create_shared(dir.path()))).collect();
+            thread::sleep(4 * LOOK);
+            assert!(shards.iter().all(|shard| !shard.is_finished()));
+            drop(held);
+            shards.into_iter().for_each(|shard| drop(shard.join().unwrap().unwrap()));
+        });
+        assert!(!OutputFolder::is_unfinished(dir.path()));
     }
 
     #[test]

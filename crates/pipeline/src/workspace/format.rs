@@ -6,7 +6,7 @@
 use std::path::Path;
 
 use serde::de::DeserializeOwned;
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Serialize, Serializer};
 
 use crate::Error;
 
@@ -35,6 +35,11 @@ pub(crate) fn json(value: &impl Serialize) -> Vec<u8> {
         .expect("our own types are JSON: string keys, finite numbers");
     text.push(b'\n');
     text
+}
+
+/// A path for JSON, which has no bytes that are not UTF-8: each is shown as U+FFFD.
+pub(crate) fn path_text<S: Serializer>(path: &Path, serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.collect_str(&path.display())
 }
 
 /// Numbers for JSON, which has no infinite ones: they are `None`.

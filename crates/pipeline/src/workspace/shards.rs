@@ -7,11 +7,12 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
-use std::path::PathBuf;
+use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 use tiepoint_io::database::{TileReader, TileWriter};
 use tiepoint_store::Error as StoreError;
+use tiepoint_store::disk::temporary_path;
 
 use crate::shard::Shard;
 use crate::workspace::folder::Workspace;
@@ -29,7 +30,16 @@ fn tile_name(stage: Stage, shard: Shard) -> String {
 /// The shard that a file in the folder of the tiles has by its name.
 fn shard_of(name: &str, stage: Stage) -> Option<Shard> {
     let numbers = name.strip_prefix(stage.name())?.strip_prefix('-')?;
-    numbers.replacen("-of-", "/", 1).parse().ok()
+    let shard = numbers.replacen("-of-", "/", 1).parse().ok()?;
+    // No other way to write its numbers.
+    (tile_name(stage, shard).strip_prefix(TILES)?.strip_prefix('/')? == name).then_some(shard)
+}
+
+/// The name of a file in the folder of the tiles, if it is what a killed shard had begun.
+fn begun_name(name: &str, stage: Stage) -> Option<String> {
+    let shard = shard_of(name.strip_prefix('.')?.split('.').next()?, stage)?;
+    let path = temporary_path(Path::new(&tile_name(stage, shard)));
+    (path.file_name()? == name).then(|| format!("{TILES}/{name}"))
 }
 
 /// What a process that ran a shard says of it.
@@ -39,8 +49,8 @@ pub struct ShardReport {
     pub stage: Stage,
     /// As `2/8`.
     pub shard: String,
-    /// The tile; `None` if the stage is complete without it.
-    pub tile: Option<PathBuf>,
+    /// The path of the tile; `None` if the stage is complete without it.
+    pub tile: Option<String>,
     /// Whether an earlier run did the work.
     pub is_kept: bool,
 }
@@ -101,7 +111,7 @@ impl Workspace {
     ) -> Result<ShardWork, Error> {
         let is_redone = redo == Some(stage);
         let name = tile_name(stage, shard);
-        let tile = Some(self.root().join(&name));
+        let tile = Some(self.root().join(&name).display().to_string());
         let report = ShardReport { stage, shard: shard.to_string(), tile, is_kept: false };
         let kept = |tile| ShardWork::Kept(ShardReport { tile, is_kept: true, ..report.clone() });
         if !is_redone && self.records.is_kept(self.root(), stage, recipe)? {
@@ -155,23 +165,40 @@ impl Workspace {
     ///
     /// It cannot be read, is damaged, or has another label.
     fn tile(&self, stage: Stage, shard: Shard, label: &Label) -> Result<TileReader, Error> {
-        let folder = self.folder.folder();
-        let name = tile_name(stage, shard);
-        let wrong = |why: String| Error::Tile { path: folder.join(&name), stage, shard, why };
-        let damaged = || wrong("is damaged".to_owned());
-        let found = TileReader::open(folder, &name)?.ok_or_else(damaged)?;
-        let found_label: Label = serde_json::from_slice(found.text()).map_err(|_| damaged())?;
+        let (found, found_label) = self.labelled(stage, shard)?;
         match found_label.why_not(label) {
-            Some(why) => Err(wrong(why)),
+            Some(why) => Err(self.wrong(stage, shard, why)),
             None => Ok(found),
         }
     }
 
-    /// The shards of a stage that have tiles.
-    fn with_tiles(&self, stage: Stage) -> BTreeSet<Shard> {
+    /// Opens the tile of a shard, with its label.
+    ///
+    /// # Errors
+    ///
+    /// It cannot be read or is damaged.
+    fn labelled(&self, stage: Stage, shard: Shard) -> Result<(TileReader, Label), Error> {
+        let damaged = || self.wrong(stage, shard, "is damaged".to_owned());
+        let found = TileReader::open(self.folder.folder(), &tile_name(stage, shard))?;
+        let found = found.ok_or_else(damaged)?;
+        let label = serde_json::from_slice(found.text()).map_err(|_| damaged())?;
+        Ok((found, label))
+    }
+
+    fn wrong(&self, stage: Stage, shard: Shard, why: String) -> Error {
+        Error::Tile { path: self.folder.folder().join(tile_name(stage, shard)), stage, shard, why }
+    }
+
+    /// What there is in the folder of the tiles.
+    fn in_tiles<T: Ord>(&self, of: impl Fn(&str) -> Option<T>) -> BTreeSet<T> {
         let entries = fs::read_dir(self.root().join(TILES)).into_iter().flatten().flatten();
         let names = entries.filter_map(|entry| entry.file_name().into_string().ok());
-        names.filter_map(|name| shard_of(&name, stage)).collect()
+        names.filter_map(|name| of(&name)).collect()
+    }
+
+    /// The shards of a stage that have tiles.
+    fn with_tiles(&self, stage: Stage) -> BTreeSet<Shard> {
+        self.in_tiles(|name| shard_of(name, stage))
     }
 
     /// The shards of a stage that have tiles: none, or all that there are.
@@ -239,24 +266,63 @@ impl Workspace {
         self.shards(stage)?.into_iter().try_for_each(take)
     }
 
-    /// Removes the tiles of a stage that is complete, and their folder if none are left.
+    /// Removes the tiles of a stage that is complete, and their folder if it is empty then.
     ///
     /// # Errors
     ///
     /// They cannot be removed.
     pub(crate) fn remove_tiles(&self, stage: Stage) -> Result<(), Error> {
+        self.remove_shards(stage, self.with_tiles(stage))
+    }
+
+    /// [`Workspace::remove_tiles`] for the tiles of a recipe. Returns a sentence on those that stay:
+    /// damaged ones and those of other recipes, which wait for a run with `redo`.
+    ///
+    /// # Errors
+    ///
+    /// They cannot be read or removed.
+    pub(crate) fn remove_tiles_of(
+        &self,
+        stage: Stage,
+        recipe: &Recipe,
+    ) -> Result<Option<String>, Error> {
+        let (mut own, mut others) = (BTreeSet::new(), Vec::new());
+        for shard in self.with_tiles(stage) {
+            let why = match self.labelled(stage, shard) {
+                Ok((_, label)) => {
+                    label.recipe.difference(recipe, stage).map(|how| format!("was made {how}"))
+                }
+                Err(Error::Tile { why, .. }) => Some(why),
+                Err(error) => return Err(error),
+            };
+            match why {
+                None => drop(own.insert(shard)),
+                Some(why) => others.push(format!("that of shard {shard} {why}")),
+            }
+        }
+        self.remove_shards(stage, own)?;
+        Ok(others.first().map(|first| {
+            format!(
+                "tiles of {stage} stay in {}, because {first}: give the options of its shards \
+                with `stage.redo` {stage} to take them, or delete them",
+                self.root().join(TILES).display()
+            )
+        }))
+    }
+
+    /// Removes the tiles of shards, what killed shards had begun, and the folder if it is empty
+    /// then.
+    fn remove_shards(&self, stage: Stage, shards: BTreeSet<Shard>) -> Result<(), Error> {
         let folder = self.folder.folder();
         let failed = || StoreError::output(&folder.join(TILES));
         // No link is followed to files of others.
         if !folder.metadata(TILES).map_err(failed())?.is_some_and(|found| found.is_dir()) {
             return Ok(());
         }
-        for shard in self.with_tiles(stage) {
-            folder.remove_file(tile_name(stage, shard)).map_err(failed())?;
-        }
-        if Stage::ALL.iter().all(|stage| self.with_tiles(*stage).is_empty()) {
-            folder.remove_own_folder(TILES).map_err(failed())?;
-        }
+        let mut names = self.in_tiles(|name| begun_name(name, stage));
+        names.extend(shards.into_iter().map(|shard| tile_name(stage, shard)));
+        names.iter().try_for_each(|name| folder.remove_file(name)).map_err(failed())?;
+        folder.remove_empty_folder(TILES).map_err(failed())?;
         Ok(())
     }
 }
@@ -272,6 +338,26 @@ mod tests {
         assert_eq!(tile_name(Stage::Match, shard), ".tiepoint-tiles/match-2-of-8");
         assert_eq!(shard_of("match-2-of-8", Stage::Match), Some(shard));
         assert_eq!(shard_of("match-2-of-8", Stage::Features), None);
-        assert_eq!(shard_of(".match-2-of-8.tiepoint-part", Stage::Match), None);
+        for other in ["match-02-of-8", "match-2-of-08", "match-2/8", "match-9-of-8"] {
+            assert_eq!(shard_of(other, Stage::Match), None, "{other}");
+        }
+        let begun = ".match-2-of-8.tiepoint-part";
+        assert_eq!(shard_of(begun, Stage::Match), None);
+        assert_eq!(begun_name(begun, Stage::Match), Some(format!("{TILES}/{begun}")));
+        assert_eq!(begun_name(begun, Stage::Map), None);
+        for other in ["match-2-of-8", ".match-2-of-8", ".match-2-of-8.tmp"] {
+            assert_eq!(begun_name(other, Stage::Match), None, "{other}");
+        }
+    }
+
+    #[test]
+    fn label_differs_if_what_was_found_does() {
+        let label = |photos: &str| {
+            let shard = "2/8".parse().unwrap();
+            let options = [("found.photos", photos.to_owned())];
+            Label::new(Stage::Features, shard, &Recipe::new("input".to_owned(), options))
+        };
+        assert_eq!(label("a").why_not(&label("a")), None);
+        assert_eq!(label("a").why_not(&label("b")).unwrap(), "was made from other photos");
     }
 }

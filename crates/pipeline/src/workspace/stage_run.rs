@@ -127,7 +127,9 @@ impl Workspace {
         let progress = self.begin(stage, &recipe, redo)?;
         if progress == Progress::Kept {
             // A run that was killed may have left them.
-            self.remove_tiles(stage)?;
+            if let Some(what) = self.remove_tiles_of(stage, &recipe)? {
+                emit(watch, &Event::Noted { what: &what })?;
+            }
             if self.records.inputs != inputs_before {
                 // The photos have moved, and exports need their paths.
                 self.note(|_| {})?;
