@@ -3,7 +3,7 @@
 
     pip install numpy scipy matplotlib
     tiepoint experiment baseline --route open --length 520 --rate 5 -o FOLDER
-    python bench/drift_pictures.py FOLDER/baseline -o PICTURE.jpg [--rows off paper auto] [--side 60]
+    python bench/drift_pictures.py FOLDER/baseline -o PICTURE.jpg [--rows off paper auto]
 
 A column for each row of the table: its cloud, aligned to the truth by its cameras, with the true
 path; below, the part whose mean distance to the scan is largest in the first row. Colours are the

@@ -275,8 +275,8 @@ impl Workspace {
         self.remove_shards(stage, self.with_tiles(stage))
     }
 
-    /// [`Workspace::remove_tiles`] for the tiles of a recipe. Returns a sentence on those that stay:
-    /// damaged ones and those of other recipes, which wait for a run with `redo`.
+    /// [`Workspace::remove_tiles`] for the tiles of a recipe. Returns a sentence on those that
+    /// stay: damaged ones and those of other recipes, which wait for a run with `redo`.
     ///
     /// # Errors
     ///
