@@ -550,9 +550,9 @@ pub(crate) struct Mapping {
     pub(crate) rolling_shutter: Option<Readout>,
     /// Maps parts of so many images apart, and assembles them: auto, off or a number.
     ///
-    /// auto: 500 images, from 2,000 images on. Parts overlap; they are cut in the order of
-    /// sequences, other images by what they see. Not with --rig-calibration, --input-model and
-    /// --rig paper.
+    /// auto: 500 images, of sequences from 2,000 images on. Parts overlap; they are cut in the
+    /// order of sequences, other images by what they see. Not with --rig-calibration,
+    /// --input-model and --rig paper.
     #[arg(long, value_name = "IMAGES", default_value = "auto", value_parser = submaps)]
     pub(crate) submaps: Submaps,
     /// Memory for parts that are mapped at once, as 8GB [default: half of the free memory].

@@ -3,7 +3,7 @@
 
 use std::path::Path;
 
-use roxmltree::{Document, Node};
+use roxmltree::{Document, Node, ParsingOptions};
 use tiepoint_scene::{Place, Position, PositionTrack};
 
 use crate::text::excerpt::Excerpt;
@@ -12,6 +12,8 @@ use crate::{Error, Result};
 
 /// A position in each second of a day takes some 20 MB.
 const MAX_BYTES: u64 = 1 << 28;
+/// Most elements, attributes aside: those of a million points. Each takes some 70 bytes.
+const MAX_NODES: u32 = 10_000_000;
 
 /// Reads the track points that have a time, in seconds since 1970 (UTC), and their places on WGS
 /// 84. Heights are above the sea, by the standard.
@@ -22,7 +24,8 @@ const MAX_BYTES: u64 = 1 << 28;
 /// that is no date, and if no point has a time.
 pub fn read(path: &Path) -> Result<PositionTrack> {
     let text = read_text(path, MAX_BYTES, "GPX track")?;
-    let document = Document::parse(&text)
+    let options = ParsingOptions { nodes_limit: MAX_NODES, ..ParsingOptions::default() };
+    let document = Document::parse_with_options(&text, options)
         .map_err(|cause| Error::content(path, format!("is no XML: {cause}")))?;
     let root = document.root_element();
     if root.tag_name().name() != "gpx" {

@@ -48,6 +48,12 @@ pub fn cut(
     }
 }
 
+/// Whether the images are sequences, which [`cut`] cuts in their order.
+pub fn are_sequences(scene: &Reconstruction, links: &[(ImagePair, usize)]) -> bool {
+    let linked: BTreeSet<ImageId> = links.iter().flat_map(|(pair, _)| [pair.a, pair.b]).collect();
+    in_order(scene, &linked, links).is_some()
+}
+
 /// The images of sequences in their order, all streams side by side: by time, or, if some have
 /// none, by their places in their streams. `None` if the images do not see what the next ones see.
 fn in_order(
@@ -75,8 +81,10 @@ fn in_order(
             ImagePair::new(two[0], two[1]).is_some_and(|pair| pairs.contains(&pair))
         };
         linked += stream.windows(2).filter(is_linked).count();
+        // Streams of other rates have other numbers of images.
+        let part = |index: usize| (index as f64 + 0.5) / stream.len() as f64;
         let place =
-            |(index, id): (usize, &ImageId)| (if are_timed { time(id) } else { index as f64 }, *id);
+            |(index, id): (usize, &ImageId)| (if are_timed { time(id) } else { part(index) }, *id);
         places.extend(stream.iter().enumerate().map(place));
     }
     places.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));

@@ -316,7 +316,11 @@ type Writer = Box<dyn Fn(&Path) -> Result<(), Error>>;
 
 /// What writes the paths of a georeferenced model, and how its files are known.
 fn geo_writer(located: &LocatedModel, format: ExportFormat) -> Result<(Mark, Writer), Error> {
-    let (paths, has_heights) = geo_paths(located)?;
+    let (mut paths, has_heights) = geo_paths(located)?;
+    if format == ExportFormat::Gpx {
+        // The times of a GPX file are UTC, and those of EXIF are on the clock of the camera.
+        paths.iter_mut().flat_map(|path| &mut path.photos).for_each(|photo| photo.time_s = None);
+    }
     let (start, write): (_, fn(&Path, &[GeoPath], bool) -> _) = match format {
         ExportFormat::Gpx => (geo_path::GPX_START, geo_path::write_gpx),
         _ => (geo_path::GEOJSON_START, geo_path::write_geojson),
@@ -338,9 +342,10 @@ fn geo_paths(located: &LocatedModel) -> Result<(Vec<GeoPath>, bool), Error> {
         of_streams.entry(&*image.stream).or_default().push((image, place));
     }
     let path = |(stream, mut images): (&str, Vec<(&Image, Geodetic)>)| {
-        images.sort_by(|(a, _), (b, _)| match (a.time_s, b.time_s) {
-            (Some(a), Some(b)) => a.total_cmp(&b),
-            _ => natural_order(&a.name, &b.name),
+        let are_timed = images.iter().all(|(image, _)| image.time_s.is_some());
+        let time = |image: &Image| image.time_s.filter(|_| are_timed).unwrap_or_default();
+        images.sort_by(|(a, _), (b, _)| {
+            time(a).total_cmp(&time(b)).then_with(|| natural_order(&a.name, &b.name))
         });
         let photo = |(image, place): (&Image, Geodetic)| GeoPhoto {
             name: image.name.clone(),

@@ -10,7 +10,7 @@ use std::ops::ControlFlow;
 use tiepoint_input::parallel::{budget_bytes, for_each_within_budget};
 use tiepoint_sfm::geometry::OptionError;
 use tiepoint_sfm::scene::{CorrespondenceGraph, ImageId, ImagePair, Reconstruction};
-use tiepoint_sfm::submaps::{SUBMAP_SIZE, cut};
+use tiepoint_sfm::submaps::{SUBMAP_SIZE, are_sequences, cut};
 use tiepoint_sfm::{self as sfm, Mapper, MapperOptions};
 
 use crate::shard::Shard;
@@ -70,15 +70,20 @@ pub(crate) struct Parts<'a> {
 }
 
 impl<'a> Parts<'a> {
-    /// `None` if the images are too few for two parts.
+    /// `None` if the images are too few for two parts, or, with `only_sequences`, if they are no
+    /// sequences.
     pub(crate) fn new(
         graph: &'a CorrespondenceGraph,
         scene: &'a Reconstruction,
         options: &'a MapperOptions,
         size: usize,
+        only_sequences: bool,
     ) -> Option<Self> {
         let links: Vec<(ImagePair, usize)> =
             graph.pairs().iter().map(|(pair, view)| (*pair, view.matches.len())).collect();
+        if only_sequences && !are_sequences(scene, &links) {
+            return None;
+        }
         let images = cut(scene, &links, size);
         (images.len() > 1).then_some(Self { graph, scene, options, images })
     }

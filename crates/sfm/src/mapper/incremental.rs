@@ -55,9 +55,9 @@ pub(super) fn map_rest(
     checkpoints: &mut Checkpoints,
 ) -> Result<Vec<MappedModel>, Error> {
     let mut starts: VecDeque<&Solution> = starts.iter().collect();
-    // Those that an earlier run has finished.
-    starts.retain(|start| registered(&start.model).is_disjoint(&mapped_images));
     loop {
+        // Some are finished: by an earlier run, or within another one.
+        starts.retain(|start| registered(&start.model).is_disjoint(&mapped_images));
         checkpoints.begin(input, &models, &mapped_images, Step::Grow);
         let refiner = Refiner::new(input, input.scene.clone(), reborrow(terms));
         let start = starts.pop_front();
