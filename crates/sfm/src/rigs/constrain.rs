@@ -15,8 +15,9 @@
 //! 4. Tracks are re-created, completed and merged across the cameras. The merged tracks keep a
 //!    repaired split together.
 //! 5. The standard deviations are divided by three, down to a floor, while the error of the
-//!    held-out tracks does not increase beyond a tolerance. The standard deviation of the rotation
-//!    stops earlier if it alone increases the error. The result measures how rigid the mount is.
+//!    held-out tracks does not increase beyond a tolerance. That of the rotation stays, or becomes
+//!    larger again, where a smaller one increases the error by more than chance. The result
+//!    measures how rigid the mount is.
 //!
 //! If the images do not determine a clock, it is set to its time stamps and steps 2 to 5 are
 //! repeated.
@@ -46,9 +47,8 @@ use crate::tracks::hold_out_tracks;
 /// Fraction of the tracks that are held out until the last refinement.
 const HELD_OUT_SHARE: f64 = 0.1;
 /// Maximum relative increase of the held-out error from the smallest soft standard deviations to a
-/// rigid constraint. Differences of this size come from lens biases. The increase is 0.2 % on KITTI
-/// 04 and 0.8 % on KITTI 01, where the trajectory error decreases by a sixth. The standard
-/// deviations of a flexible mount do not reach the floor.
+/// rigid constraint. The standard deviations of a flexible mount do not reach the floor, so that
+/// differences of this size come from lens biases.
 const RIGID_TOLERANCE: f64 = 0.01;
 /// Maximum standard deviation of an estimated offset. Above it lens biases dominate the estimate.
 const MAX_CLOCK_SD_S: f64 = 0.02;

@@ -14,9 +14,7 @@ use super::extrinsics::RigConstraint;
 use super::gating::UnmatchedImages;
 use super::held_out::HeldOutComparison;
 use super::sensor_pair::SensorPair;
-use super::sigma_selection::{
-    ConstrainedModel, HELD_OUT_TOLERANCE, ROTATION_TOLERANCE, SigmaSelection, adopt_clocks,
-};
+use super::sigma_selection::{ConstrainedModel, HELD_OUT_TOLERANCE, SigmaSelection, adopt_clocks};
 use crate::Error;
 use crate::options::RigMode;
 
@@ -49,11 +47,9 @@ impl Context<'_> {
         }
         let found = self.constrain_each(&off, &own, &permitted, comparison)?;
         let is_better = |found: &ConstrainedModel| {
-            let increase_px = |common: &ConstrainedModel| found.error_px - common.error_px;
-            common
-                .best
-                .as_ref()
-                .is_none_or(|common| comparison.relative(increase_px(common)) <= ROTATION_TOLERANCE)
+            common.best.as_ref().is_none_or(|common| {
+                !comparison.is_significantly_worse(&found.model, &common.model)
+            })
         };
         let Some(best) = found.filter(is_better) else { return Ok(common) };
         adopt_clocks(sensor_pairs, &best.all_extrinsics);

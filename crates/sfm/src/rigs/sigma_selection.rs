@@ -17,10 +17,7 @@ use crate::Error;
 use crate::options::RigMode;
 
 /// Smallest standard deviations: translation in baselines, rotation in radians. At this level the
-/// constraint is rigid for any image. If the value is larger than the mount's flexibility, small
-/// lens biases, common to all tracks, bend the trajectory. On KITTI 01 half a percent gives 29 cm
-/// of trajectory error, a twentieth of a percent 11.6 cm, a fiftieth 10.2 cm, and a rigid rig 9.7
-/// cm.
+/// constraint is rigid for any image.
 const SIGMA_FLOOR: (f64, f64) = (0.0001, 0.0006 * std::f64::consts::PI / 180.0);
 /// Largest initial standard deviations.
 const SIGMA_CEILING: (f64, f64) = (0.3, 0.05);
@@ -30,11 +27,6 @@ const MAX_STEPS: usize = 8;
 /// Maximum relative increase of the held-out error by the constraint. Lens biases cause an
 /// increase: on KITTI 01 a rigid rig causes 6 %. Clock errors that matter cause far more.
 pub(super) const HELD_OUT_TOLERANCE: f64 = 0.08;
-/// Maximum relative increase of the held-out error by tightening the rotation as well as the
-/// translation. Above it the mount is flexible, and the rotation's standard deviation stays. The
-/// increase is 3 % for a mount that swings by a tenth of a degree (synthetic features with 0.5 px
-/// of noise). On KITTI 01, where the constraint causes 4 % in all, it is 0.1 % a step.
-pub(super) const ROTATION_TOLERANCE: f64 = 0.003;
 /// Factors on the standard deviations, applied one after the other, to move images of a split
 /// towards their extrinsics.
 const SPLIT_SIGMA_FACTORS: [f64; 3] = [30.0, 10.0, 3.0];
@@ -133,9 +125,7 @@ impl Context<'_> {
             found.1.clamp(SIGMA_FLOOR.1, SIGMA_CEILING.1),
         );
         let mut selection = SigmaSelection::default();
-        // State of the loop: whether the rotation is flexible; error and rotation sigma of the last
-        // step.
-        let (mut is_flexible, mut last) = (false, None);
+        let mut is_flexible = false;
         for step in 0..MAX_STEPS {
             let merge_error_factor = if step == 0 { MERGE_ERROR_FACTOR } else { 1.0 };
             let (mut constrained, tolerance) = self.constrain_softly(
@@ -146,25 +136,18 @@ impl Context<'_> {
                 merge_error_factor,
                 comparison,
             )?;
-            if let Some((last_px, last_rotation)) = last.filter(|_| !is_flexible)
-                && (comparison.relative(constrained.error_px - last_px) > ROTATION_TOLERANCE
-                    || !constrained.residuals_consistent()[1])
-            {
-                let looser = (sigmas.0, last_rotation);
-                let (loose, _) = self.constrain_softly(
+            // The tracks of a split fit its extrinsics only when they are created again.
+            let has_split = tolerance == SPLIT_TOLERANCE;
+            if !(is_flexible || has_split) && Self::is_costly(&constrained, model, comparison) {
+                is_flexible = self.loosen_rotation(
+                    &mut constrained,
                     model,
                     sensor_pairs,
-                    looser,
                     unmatched,
                     merge_error_factor,
                     comparison,
                 )?;
-                let is_costly =
-                    comparison.relative(constrained.error_px - loose.error_px) > ROTATION_TOLERANCE;
-                is_flexible = is_costly || !constrained.residuals_consistent()[1];
-                if is_flexible {
-                    (constrained, sigmas) = (loose, looser);
-                }
+                sigmas = constrained.sigmas;
             }
             let ConstrainedModel { model: candidate, all_extrinsics, error_px, .. } = constrained;
             selection.split_images.extend(
@@ -190,7 +173,6 @@ impl Context<'_> {
                 selection.limit = Some(ConstraintLimit::Residuals);
             }
             *model = candidate;
-            last = Some((error_px, sigmas.1));
             let divided = |sigma: f64, floor: f64| (sigma / SIGMA_STEP).max(floor);
             let rotation = if is_flexible { sigmas.1 } else { divided(sigmas.1, SIGMA_FLOOR.1) };
             let next = (divided(sigmas.0, SIGMA_FLOOR.0), rotation);
@@ -200,6 +182,52 @@ impl Context<'_> {
             sigmas = next;
         }
         Ok(selection)
+    }
+
+    /// Whether a constraint increases the error of the held-out tracks by more than chance, or leaves
+    /// rotations that are too large for it.
+    fn is_costly(
+        constrained: &ConstrainedModel,
+        than: &Reconstruction,
+        comparison: &HeldOutComparison,
+    ) -> bool {
+        !constrained.residuals_consistent()[1]
+            || comparison.is_significantly_worse(&constrained.model, than)
+    }
+
+    /// Multiplies the standard deviation of the rotation alone as long as the smaller one is costly.
+    /// Returns whether it was: the mount is flexible.
+    fn loosen_rotation(
+        &mut self,
+        constrained: &mut ConstrainedModel,
+        model: &Reconstruction,
+        sensor_pairs: &[SensorPair],
+        unmatched: UnmatchedImages,
+        merge_error_factor: f64,
+        comparison: &HeldOutComparison,
+    ) -> Result<bool, Error> {
+        let mut is_flexible = false;
+        loop {
+            let (translation, rotation) = constrained.sigmas;
+            let looser = (translation, (SIGMA_STEP * rotation).min(SIGMA_CEILING.1));
+            if looser == constrained.sigmas {
+                break;
+            }
+            let (loose, _) = self.constrain_softly(
+                model,
+                sensor_pairs,
+                looser,
+                unmatched,
+                merge_error_factor,
+                comparison,
+            )?;
+            if !Self::is_costly(constrained, &loose.model, comparison) {
+                break;
+            }
+            is_flexible = true;
+            *constrained = loose;
+        }
+        Ok(is_flexible)
     }
 
     /// Adjusts a model with a soft constraint. Also returns the tolerance on its held-out error.

@@ -266,6 +266,33 @@ fn each_camera_has_its_own_sigmas() {
     assert!(change.relative.abs() < 0.1 && (0.0..0.1).contains(&change.sd), "{change:?}");
 }
 
+/// Amplitude in radians, here 0.4 px, of a camera that turns slowly on its mount.
+const SLOW_TURN_RAD: f64 = 0.001;
+/// Seeds of drives with such a camera.
+const SLOW_TURN_SEEDS: [u64; 3] = [4, 5, 6];
+
+/// A camera that turns by less than its keypoints' noise, once to each side in the drive, keeps a
+/// rotation of its own in each frame, and its position is constrained all the same.
+#[test]
+fn a_slow_turn_of_a_camera_is_no_part_of_the_trajectory() {
+    for seed in SLOW_TURN_SEEDS {
+        let right = |frame: usize| {
+            let phase = std::f64::consts::TAU * frame as f64 / NUM_FRAMES as f64;
+            let turn = Vector3::y() * phase.sin() * SLOW_TURN_RAD;
+            Rigid3::from_axis_angle(turn, Vector3::zeros()) * right_from_left(BASELINE_M)
+        };
+        let truth = drive_with(seed, 0.03, FOCAL_PX, true, &[("right", &right)]);
+        let rig = run_whole(&truth, &calibrated(RigMode::Auto)).rig.expect("a rig");
+        let RigConstraint::Soft { sigma_translation, sigma_rotation_rad } =
+            rig.cameras[0].constraint
+        else {
+            panic!("seed {seed}: {:?}", rig.constraint)
+        };
+        assert!(sigma_rotation_rad > SLOW_TURN_RAD / 3.0, "seed {seed}: {sigma_rotation_rad}");
+        assert!(sigma_translation < 0.001, "seed {seed}: {sigma_translation}");
+    }
+}
+
 /// Asserts that all images of frames have the poses composed of frame and rig, up to rounding.
 fn assert_frames_are_rigid(model: &Reconstruction) {
     assert_eq!(model.frames.len(), NUM_FRAMES);
