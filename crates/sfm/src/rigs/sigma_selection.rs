@@ -184,8 +184,8 @@ impl Context<'_> {
         Ok(selection)
     }
 
-    /// Whether a constraint increases the error of the held-out tracks by more than chance, or leaves
-    /// rotations that are too large for it.
+    /// Whether a constraint increases the error of the held-out tracks by more than chance, or
+    /// leaves rotations that are too large for it.
     fn is_costly(
         constrained: &ConstrainedModel,
         than: &Reconstruction,
@@ -195,8 +195,8 @@ impl Context<'_> {
             || comparison.is_significantly_worse(&constrained.model, than)
     }
 
-    /// Multiplies the standard deviation of the rotation alone as long as the smaller one is costly.
-    /// Returns whether it was: the mount is flexible.
+    /// Multiplies the standard deviation of the rotation alone as long as the smaller one is
+    /// costly. Returns whether it was: the mount is flexible.
     fn loosen_rotation(
         &mut self,
         constrained: &mut ConstrainedModel,
