@@ -69,7 +69,7 @@ fn drive(route: RouteKind, frames: usize, seed: u64) -> FeatureScene {
     FeatureScene::new(&drive, &features).expect("sound options")
 }
 
-/// Maps parts of the images, the first of which calibrates the cameras, and assembles them.
+/// Maps parts of the images, which begin with the intrinsics of the first, and assembles them.
 fn in_parts(
     graph: &CorrespondenceGraph,
     scene: &Reconstruction,

@@ -139,7 +139,7 @@ pub fn map(
 }
 
 /// Maps a part of the images of a workspace that has matches into its tile, from which [`map`] with
-/// the same options takes it. The first part calibrates the cameras of the others, and comes first.
+/// the same options takes it. The first part comes first: the others begin with its intrinsics.
 ///
 /// # Errors
 ///

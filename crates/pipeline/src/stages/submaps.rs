@@ -97,7 +97,8 @@ impl<'a> Parts<'a> {
         self.images[index].len()
     }
 
-    /// The state of the part at an index. `first`: that of the first part, which calibrates.
+    /// The state of the part at an index. `first`: that of the first part, with whose
+    /// intrinsics the others begin.
     pub(crate) fn map(
         &self,
         index: usize,

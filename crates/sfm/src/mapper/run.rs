@@ -73,12 +73,13 @@ impl<'a> Mapper<'a> {
     /// begins. Only the graph, the scene and the watch take part, and of the graph and the
     /// keypoints only those of the part.
     ///
-    /// `first`: the state of the part that calibrates the cameras of all others; `None` for that
-    /// part itself.
+    /// `first`: the state of the part with whose intrinsics all others begin, before they refine
+    /// them; `None` for that part itself.
     ///
     /// # Errors
     ///
-    /// An option is out of its range; [`Error::Cancelled`] if the watch asks to stop.
+    /// An option is out of its range; [`Error::OtherSubmaps`] if `first` is no state of this scene;
+    /// [`Error::Cancelled`] if the watch asks to stop.
     pub fn submap(
         self,
         images: &BTreeSet<ImageId>,

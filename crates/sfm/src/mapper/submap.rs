@@ -8,14 +8,16 @@
 use std::collections::BTreeSet;
 
 use rayon::prelude::*;
-use tiepoint_adjust::{FocalPrior, RefineIntrinsics};
-use tiepoint_scene::{CameraId, CorrespondenceGraph, Image, ImageId, ImagePair, Reconstruction};
+use tiepoint_adjust::RefineIntrinsics;
+use tiepoint_scene::{
+    Camera, CameraId, CorrespondenceGraph, Image, ImageId, ImagePair, Reconstruction,
+};
 
 use super::growth::Growth;
 use super::incremental::{initial_focal_lengths, initialise, without_model};
 use super::input::Input;
 use super::join::{agrees, registered, with_cameras_of};
-use super::refiner::Refiner;
+use super::refiner::{Refiner, has_rotation};
 use super::solution::Solution;
 use crate::Error;
 use crate::event::Watch;
@@ -23,7 +25,8 @@ use crate::model_tools::{align_models, merge_aligned};
 use crate::options::{MapperOptions, RigMode};
 use crate::saved::{Reader, Saved, Writer, write_list};
 
-/// The scene and the graph of some images alone. Ids stay; other images have no keypoints.
+/// The scene and the graph of some images alone. Ids stay; other images have no keypoints. Cameras
+/// of other images alone have a focal length: no pair of the part tells any.
 fn restricted(
     graph: &CorrespondenceGraph,
     scene: &Reconstruction,
@@ -33,8 +36,10 @@ fn restricted(
     part.calibrated.clone_from(&scene.calibrated);
     part.intrinsics_priors.clone_from(&scene.intrinsics_priors);
     part.portrait_landscape_pairs.clone_from(&scene.portrait_landscape_pairs);
-    for (_, camera) in scene.cameras() {
-        part.add_camera(*camera);
+    let cameras: BTreeSet<CameraId> = images.iter().map(|id| scene.image(*id).camera).collect();
+    for (id, camera) in scene.cameras() {
+        let has_focal_prior = camera.has_focal_prior || !cameras.contains(&id);
+        part.add_camera(Camera { has_focal_prior, ..*camera });
     }
     for (id, image) in scene.images() {
         let keypoints = if images.contains(&id) { image.keypoints.to_vec() } else { Vec::new() };
@@ -48,7 +53,12 @@ fn restricted(
     (CorrespondenceGraph::new(&counts, pairs.map(|(pair, view)| (*pair, view.clone()))), part)
 }
 
-/// The state of the models of a part. `first`: that of the part that calibrates all.
+/// The state of the models of a part. `first`: that of the part whose intrinsics the others begin
+/// with.
+///
+/// # Errors
+///
+/// [`Error::OtherSubmaps`] if `first` is none of this scene; [`Error::Cancelled`].
 pub(super) fn map_part(
     graph: &CorrespondenceGraph,
     scene: &Reconstruction,
@@ -57,15 +67,15 @@ pub(super) fn map_part(
     options: &MapperOptions,
     watch: &mut Watch,
 ) -> Result<Vec<u8>, Error> {
-    let (graph, scene) = &restricted(graph, scene, images);
+    // States are of all images: those of another part have keypoints there.
+    let whole = without_model(scene);
+    let first =
+        first.map(|state| models_of(state, &whole).ok_or(Error::OtherSubmaps)).transpose()?;
+    let (graph, mut blank) = restricted(graph, &whole, images);
     let options = &MapperOptions { rig: RigMode::Off, ..*options };
-    let mut blank = without_model(scene);
-    let focal_priors = initial_focal_lengths(graph, &mut blank, options);
-    let focal_priors = match first.and_then(|state| models_of(state, scene)) {
-        Some(first) => calibrated(&mut blank, &first, focal_priors),
-        None => focal_priors,
-    };
-    let input = Input { focal_priors: &focal_priors, ..Input::of_trial(graph, &blank, options) };
+    calibrate(&mut blank, &first.unwrap_or_default());
+    let focal_priors = initial_focal_lengths(&graph, &mut blank, options);
+    let input = Input { focal_priors: &focal_priors, ..Input::of_trial(&graph, &blank, options) };
     let others = blank.images().map(|(id, _)| id).filter(|id| !images.contains(id));
     let mut taken: BTreeSet<ImageId> = others.collect();
     let mut models: Vec<Solution> = Vec::new();
@@ -88,26 +98,25 @@ pub(super) fn map_part(
             break;
         }
     }
-    let mut to = Writer { bytes: Vec::new(), scene };
+    let mut to = Writer { bytes: Vec::new(), scene: &blank };
     write_list(&models, &mut to);
     Ok(to.bytes)
 }
 
-/// Gives the cameras that the largest model of the first part has the intrinsics that they have
-/// there, and the means of the priors on their focal lengths.
-fn calibrated(
-    scene: &mut Reconstruction,
-    first: &[Solution],
-    mut priors: Vec<FocalPrior>,
-) -> Vec<FocalPrior> {
-    let Some(Solution { model, .. }) = first.first() else { return priors };
-    for camera in model.registered_cameras() {
-        scene.camera_mut(camera).intrinsics = model.camera(camera).intrinsics;
-        for prior in priors.iter_mut().filter(|prior| prior.camera == camera) {
-            prior.mean_px = model.camera(camera).intrinsics.mean_focal_px();
+/// Gives the cameras that the models of the first part have the intrinsics that they have there. If
+/// that model determines focal lengths, they are known. Each part refines them: what is wrong in
+/// one is not wrong in all.
+fn calibrate(scene: &mut Reconstruction, first: &[Solution]) {
+    let mut models: Vec<&Reconstruction> = first.iter().map(|part| &part.model).collect();
+    // The largest has the last word.
+    models.sort_by_key(|model| model.num_registered());
+    for model in models {
+        for id in model.registered_cameras() {
+            let camera = scene.camera_mut(id);
+            camera.intrinsics = model.camera(id).intrinsics;
+            camera.has_focal_prior |= has_rotation(model);
         }
     }
-    priors
 }
 
 /// The models of a state; `None` if it is none of this scene.
