@@ -214,9 +214,9 @@ pub(crate) struct Map {
     pub(crate) seed: Seed,
     /// Maps one part of --submaps alone.
     ///
-    /// For several machines with a shared folder, or a job array. Part 1 calibrates the cameras of
-    /// the others, and comes first. Each part leaves a file in the workspace; --merge makes the
-    /// model of them.
+    /// For several machines with a shared folder, or a job array. Part 1 comes first: the others
+    /// begin with its intrinsics. Each part leaves a file in the workspace; --merge makes the model
+    /// of them.
     #[arg(help_heading = "Output", long, value_name = "K")]
     pub(crate) submap: Option<NonZeroUsize>,
     /// Assembles the parts that --submap made; without it, missing ones are mapped.

@@ -236,8 +236,8 @@ pub enum Error {
         /// How many there are.
         count: usize,
     },
-    /// The first sub-map, which calibrates the cameras of the others, is not there.
-    #[error("{path} has no sub-map 1, which calibrates the cameras of the others: map it first")]
+    /// The first sub-map, with whose intrinsics the others begin, is not there.
+    #[error("{path} has no sub-map 1, with whose intrinsics the others begin: map it first")]
     MissingFirstSubmap {
         /// The workspace.
         path: PathBuf,

@@ -2,7 +2,8 @@
 //!
 //! It follows from the data alone. Images of sequences are cut in their order, others into regions
 //! of the view graph: a region begins at an image with few links, and takes the image with the most
-//! matches to it, one after another. Parts overlap, so that their models have images in common.
+//! matches to it, one after another. Small components of the graph share parts. Parts overlap, so
+//! that their models have images in common.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -21,7 +22,8 @@ const MIN_LINKED: f64 = 0.9;
 const MIN_REGION: f64 = 0.25;
 
 /// Cuts the images with verified pairs into parts of about `size` images, and the overlap. `links`:
-/// the verified pairs with their numbers of inliers.
+/// the verified pairs with their numbers of inliers. The first part is the begin of sequences, and
+/// else the largest region: the other parts begin with its intrinsics.
 pub fn cut(
     scene: &Reconstruction,
     links: &[(ImagePair, usize)],
@@ -122,7 +124,8 @@ impl ViewGraph {
         around
     }
 
-    /// Regions of about `size` images, each with the images around it that have most matches.
+    /// Regions of about `size` images, each with the images around it that have most matches. The
+    /// largest is the first.
     fn regions(
         &self,
         mut free: BTreeSet<ImageId>,
@@ -133,9 +136,11 @@ impl ViewGraph {
         while let Some(region) = self.next_region(&mut free, size) {
             regions.push(region);
         }
+        let is_small =
+            |region: &BTreeSet<ImageId>| (region.len() as f64) < MIN_REGION * size as f64;
         let mut index = 0;
         while index < regions.len() {
-            if (regions[index].len() as f64) < MIN_REGION * size as f64
+            if is_small(&regions[index])
                 && let Some(other) = self.nearest(&regions, index)
             {
                 let small = regions.remove(index);
@@ -144,11 +149,21 @@ impl ViewGraph {
                 index += 1;
             }
         }
+        // Small components of the graph share parts, which map one after another.
+        let mut shared: Vec<BTreeSet<ImageId>> = Vec::new();
+        for component in regions.extract_if(.., |region| is_small(region)) {
+            match shared.last_mut().filter(|part| part.len() + component.len() <= size) {
+                Some(part) => part.extend(component),
+                None => shared.push(component),
+            }
+        }
+        regions.append(&mut shared);
         for region in &mut regions {
             let mut around: Vec<(ImageId, usize)> = self.around(region).into_iter().collect();
             around.sort_by_key(|(image, count)| (std::cmp::Reverse(*count), *image));
             region.extend(around.into_iter().take(overlap).map(|(image, _)| image));
         }
+        regions.sort_by_key(|region| std::cmp::Reverse(region.len()));
         regions
     }
 
@@ -287,6 +302,22 @@ mod tests {
             };
             assert!(parts.iter().any(|other| shared(&other)));
         }
+    }
+
+    /// A chain of many images behind components of few.
+    #[test]
+    fn small_components_share_a_part_behind_larger_ones() {
+        const SMALL: usize = 6;
+        let scene = scene((0..3 * SMALL + 200).map(|k| format!("{}.png", 7 * k % 400)), |_| None);
+        let chain = (3 * SMALL + 1..3 * SMALL + 200).map(|k| link(k - 1, k));
+        let small = (0..SMALL).flat_map(|k| [link(3 * k, 3 * k + 1), link(3 * k + 1, 3 * k + 2)]);
+        let links: Vec<_> = small.chain(chain).collect();
+        let parts = cut(&scene, &links, 100);
+        check_cover(&parts, 3 * SMALL + 200);
+        let (last, others) = parts.split_last().unwrap();
+        assert_eq!(*last, (0..3 * SMALL).map(ImageId::from_index).collect());
+        assert!(others.is_sorted_by_key(|part| std::cmp::Reverse(part.len())));
+        assert!(others.iter().all(|part| part.is_disjoint(last)));
     }
 
     #[test]

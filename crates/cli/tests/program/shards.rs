@@ -268,10 +268,22 @@ fn sub_maps_give_the_same_bytes_whoever_maps_them() {
     assert_eq!(kept["is_kept"], true);
     let other = map("parts", "--submap 2 --seed 1").failed(1, &["map-1-of-2 was made with"]);
     assert!(other.stderr().contains("seed 0 and not 1"), "{}", other.stderr());
+    let tile = workspaces[2].join(TILES).join("map-1-of-2");
+    let made = fs::read(&tile).unwrap();
+    map("parts", "--seed 1").failed(1, &["map-1-of-2 was made with", "seed 0 and not 1"]);
+    assert!(fs::read(&tile).unwrap() == made, "it is not replaced");
     map("parts", "--submap 2").done();
     map("parts", "--merge").done();
     assert!(models(&workspaces[0]) == models(&workspaces[2]), "a process for each part");
     assert!(!workspaces[2].join(TILES).exists());
+
+    // Tiles of other options stay when the stage is complete.
+    fs::create_dir(workspaces[2].join(TILES)).unwrap();
+    fs::write(&tile, &made).unwrap();
+    let done = tiepoint_in(dir, "map {}/parts --rig off --submaps off --redo map").done();
+    let note = "tiles of map stay";
+    assert!(done.stderr().contains(note), "{}", done.stderr());
+    assert!(fs::read(&tile).unwrap() == made);
 
     // One map: too few images for parts by default, or something else gives the frame.
     for options in ["--submaps off", "--submaps auto"] {

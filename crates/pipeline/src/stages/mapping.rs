@@ -139,7 +139,7 @@ pub fn map(
 }
 
 /// Maps a part of the images of a workspace that has matches into its tile, from which [`map`] with
-/// the same options takes it. The first part calibrates the cameras of the others, and comes first.
+/// the same options takes it. The first part comes first: the others begin with its intrinsics.
 ///
 /// # Errors
 ///
@@ -282,7 +282,7 @@ impl<'a> MapRequest<'a> {
 
     /// The parts of the images; `None` for one map.
     fn parts<'i>(&'i self, input: &'i MapInput) -> Option<Parts<'i>> {
-        // Parts of other photos were not measured: they are for who asks for them.
+        // Parts of other photos were measured on one kind: they are for who asks for them.
         let only_sequences = self.given.submaps == Submaps::Auto;
         Parts::new(&input.graph, &input.scene, &self.options, self.submap_size?, only_sequences)
     }

@@ -97,7 +97,8 @@ impl<'a> Parts<'a> {
         self.images[index].len()
     }
 
-    /// The state of the part at an index. `first`: that of the first part, which calibrates.
+    /// The state of the part at an index. `first`: that of the first part, with whose
+    /// intrinsics the others begin.
     pub(crate) fn map(
         &self,
         index: usize,
@@ -129,13 +130,13 @@ impl<'a> Parts<'a> {
         watch: Watch,
     ) -> Result<Vec<Vec<u8>>, Error> {
         let shards: Vec<Shard> = Shard::all(self.count()).collect();
-        let mut states: Vec<Option<Vec<u8>>> = Vec::new();
-        for shard in &shards {
-            states.push(match workspace.state_of(*shard, recipe) {
-                // Of other options, or damaged: it is made anew.
-                Err(Error::Tile { .. }) => None,
-                found => found?,
-            });
+        let mut states: Vec<Option<Vec<u8>>> = vec![None; self.count()];
+        // Others are refused, as in the other stages: somebody may need them.
+        for shard in workspace.with_tiles(Stage::Map) {
+            let state = workspace.state_of(shard, recipe)?;
+            if let Some(index) = shards.iter().position(|other| *other == shard) {
+                states[index] = state;
+            }
         }
         let keep = |index: usize, state: Vec<u8>, watch: Watch| -> Result<Vec<u8>, Error> {
             let mut tile = workspace.new_tile(Stage::Map, shards[index], recipe)?;

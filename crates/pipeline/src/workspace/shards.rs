@@ -197,7 +197,7 @@ impl Workspace {
     }
 
     /// The shards of a stage that have tiles.
-    fn with_tiles(&self, stage: Stage) -> BTreeSet<Shard> {
+    pub(crate) fn with_tiles(&self, stage: Stage) -> BTreeSet<Shard> {
         self.in_tiles(|name| shard_of(name, stage))
     }
 
@@ -266,17 +266,9 @@ impl Workspace {
         self.shards(stage)?.into_iter().try_for_each(take)
     }
 
-    /// Removes the tiles of a stage that is complete, and their folder if it is empty then.
-    ///
-    /// # Errors
-    ///
-    /// They cannot be removed.
-    pub(crate) fn remove_tiles(&self, stage: Stage) -> Result<(), Error> {
-        self.remove_shards(stage, self.with_tiles(stage))
-    }
-
-    /// [`Workspace::remove_tiles`] for the tiles of a recipe. Returns a sentence on those that
-    /// stay: damaged ones and those of other recipes, which wait for a run with `redo`.
+    /// Removes the tiles of a recipe of a stage that is complete, and their folder if it is empty
+    /// then. Returns a sentence on those that stay: damaged ones and those of other recipes, which
+    /// wait for a run with `redo`.
     ///
     /// # Errors
     ///

@@ -127,9 +127,7 @@ impl Workspace {
         let progress = self.begin(stage, &recipe, redo)?;
         if progress == Progress::Kept {
             // A run that was killed may have left them.
-            if let Some(what) = self.remove_tiles_of(stage, &recipe)? {
-                emit(watch, &Event::Noted { what: &what })?;
-            }
+            self.remove_tiles(stage, &recipe, &mut *watch)?;
             if self.records.inputs != inputs_before {
                 // The photos have moved, and exports need their paths.
                 self.note(|_| {})?;
@@ -150,8 +148,16 @@ impl Workspace {
             database.write_two_views_for(two_views, &self.records.rows())?;
             database.close()?;
         }
-        self.remove_tiles(stage)?;
+        self.remove_tiles(stage, &recipe, &mut *watch)?;
         emit(watch, &Event::StageDone { stage, seconds })
+    }
+
+    /// Removes the tiles of a complete stage, and says what stays.
+    fn remove_tiles(&self, stage: Stage, recipe: &Recipe, watch: Watch) -> Result<(), Error> {
+        match self.remove_tiles_of(stage, recipe)? {
+            Some(what) => emit(watch, &Event::Noted { what: &what }),
+            None => Ok(()),
+        }
     }
 
     /// Runs a shard of a stage, unless an earlier run did. `work` fills its tile.

@@ -222,7 +222,7 @@ impl<'a> Refiner<'a> {
 /// Whether some image is rotated relative to the first image of its camera. Two cameras of a rig
 /// have different orientations without rotating. If each image has its own camera, images are
 /// compared with each other.
-fn has_rotation(model: &Reconstruction) -> bool {
+pub(super) fn has_rotation(model: &Reconstruction) -> bool {
     let is_shared = model.cameras().count() < model.images().count();
     let mut first = BTreeMap::new();
     model.registered().any(|(_, image, pose)| {

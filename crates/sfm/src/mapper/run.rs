@@ -69,16 +69,17 @@ impl<'a> Mapper<'a> {
     }
 
     /// Grows models of some images, for [`Mapper::submaps`]: a part of
-    /// [`crate::submaps::cut`]. Returns their state, which is empty but for a count if no model
-    /// begins. Only the graph, the scene and the watch take part, and of the graph and the
-    /// keypoints only those of the part.
+    /// [`crate::submaps::cut`]. Returns their state, which is empty if no model begins. Only the
+    /// graph, the scene and the watch take part, and of the graph and the keypoints only those of
+    /// the part.
     ///
-    /// `first`: the state of the part that calibrates the cameras of all others; `None` for that
-    /// part itself.
+    /// `first`: the state of the part with whose intrinsics all others begin, before they refine
+    /// them; `None` for that part itself.
     ///
     /// # Errors
     ///
-    /// An option is out of its range; [`Error::Cancelled`] if the watch asks to stop.
+    /// An option is out of its range; [`Error::OtherSubmaps`] if `first` is no state of this scene;
+    /// [`Error::Cancelled`] if the watch asks to stop.
     pub fn submap(
         self,
         images: &BTreeSet<ImageId>,
@@ -195,7 +196,7 @@ impl<'a> Mapper<'a> {
                 mapped_images = registered(&first.reconstruction);
                 models.push(first);
             }
-            let starts = assembled(input, submaps).ok_or(Error::OtherSubmaps)?;
+            let starts = assembled(input, submaps)?;
             models = map_rest(
                 input,
                 &starts,
