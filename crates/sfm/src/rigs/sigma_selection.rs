@@ -126,6 +126,8 @@ impl Context<'_> {
         );
         let mut selection = SigmaSelection::default();
         let mut is_flexible = false;
+        // The model with the least error of the held-out tracks.
+        let (mut least, mut least_px) = (model.clone(), comparison.error_off_px);
         for step in 0..MAX_STEPS {
             let merge_error_factor = if step == 0 { MERGE_ERROR_FACTOR } else { 1.0 };
             let (mut constrained, tolerance) = self.constrain_softly(
@@ -138,7 +140,7 @@ impl Context<'_> {
             )?;
             // The tracks of a split fit its extrinsics only when they are created again.
             let has_split = tolerance == SPLIT_TOLERANCE;
-            if !(is_flexible || has_split) && Self::is_costly(&constrained, model, comparison) {
+            if !(is_flexible || has_split) && Self::is_costly(&constrained, &least, comparison) {
                 is_flexible = self.loosen_rotation(
                     &mut constrained,
                     model,
@@ -171,6 +173,9 @@ impl Context<'_> {
                 selection.limit = is_flexible.then_some(ConstraintLimit::FlexibleRotation);
             } else {
                 selection.limit = Some(ConstraintLimit::Residuals);
+            }
+            if error_px < least_px {
+                (least, least_px) = (candidate.clone(), error_px);
             }
             *model = candidate;
             let divided = |sigma: f64, floor: f64| (sigma / SIGMA_STEP).max(floor);

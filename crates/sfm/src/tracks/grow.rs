@@ -67,26 +67,28 @@ pub fn triangulate_image(
     image: ImageId,
     options: &TrackOptions,
 ) -> usize {
-    triangulate_images(graph, model, &[image], options)
+    // A table of all keypoints would cost more than one image.
+    triangulate_images(graph, model, &[image], &has_no_point, options)
 }
 
-/// [`triangulate_image`] for several images.
+/// [`triangulate_image`] for several images. `is_free` is [`has_no_point`] or a table of it.
 fn triangulate_images(
     graph: &CorrespondenceGraph,
     model: &mut Reconstruction,
     images: &[ImageId],
+    is_free: &IsFree<'_>,
     options: &TrackOptions,
 ) -> usize {
-    let free = FreeKeypoints::new(model);
+    let is_free = |of: &Observation| is_free(model, of);
     let open = images.par_iter().flat_map_iter(|&image| {
         let keypoints = 0..model.image(image).keypoints.len() as u32;
         let observations = keypoints.map(move |keypoint| Observation { image, keypoint });
         observations.filter(|of| {
             // It has no point and a correspondence, or two of its correspondences have no point.
             let mut targets = graph.correspondences(*of).iter();
-            let is_open = match free.has(of) {
+            let is_open = match is_free(of) {
                 true => targets.any(|target| is_registered(model, target.image)),
-                false => targets.filter(|target| free.has(target)).nth(1).is_some(),
+                false => targets.filter(|target| is_free(target)).nth(1).is_some(),
             };
             is_open && (options.two_view || !graph.is_two_view(*of))
         })
@@ -103,7 +105,14 @@ fn is_free(model: &Reconstruction, of: &Observation) -> bool {
     model.image(of.image).point_of(of.keypoint).is_none()
 }
 
-/// The keypoints of registered images that have no point, in one table that caches hold.
+/// Whether a keypoint of a registered image has no point.
+type IsFree<'a> = dyn Fn(&Reconstruction, &Observation) -> bool + Sync + 'a;
+
+fn has_no_point(model: &Reconstruction, of: &Observation) -> bool {
+    is_registered(model, of.image) && is_free(model, of)
+}
+
+/// [`has_no_point`] of all keypoints, in one table that caches hold.
 struct FreeKeypoints {
     /// Where those of each image begin.
     first: Vec<usize>,
@@ -198,7 +207,8 @@ pub fn retriangulate(
     // Between adjusted poses, observations above the merge threshold would be filtered again.
     let options = &TrackOptions { max_create_error_px: options.max_merge_error_px, ..*options };
     let images: Vec<ImageId> = model.registered().map(|(id, ..)| id).collect();
-    triangulate_images(graph, model, &images, options)
+    let free = FreeKeypoints::new(model);
+    triangulate_images(graph, model, &images, &|_, of| free.has(of), options)
 }
 
 /// Updates all tracks after an adjustment: runs [`retriangulate`], [`complete_tracks`] and
@@ -210,7 +220,8 @@ pub(crate) fn update_tracks(
 ) {
     retriangulate(graph, model, options);
     let points: Vec<PointId> = model.tracks().map(|(point, _)| point).collect();
-    complete_tracks(graph, model, &points, options);
+    let free = FreeKeypoints::new(model);
+    complete(graph, model, &points, &|_, of| free.has(of), options);
     merge_tracks(graph, model, &points, options);
 }
 
@@ -222,11 +233,21 @@ pub fn complete_tracks(
     points: &[PointId],
     options: &TrackOptions,
 ) -> usize {
-    let free = FreeKeypoints::new(model);
+    complete(graph, model, points, &has_no_point, options)
+}
+
+/// [`complete_tracks`]. `is_free` is [`has_no_point`] or a table of it.
+fn complete(
+    graph: &CorrespondenceGraph,
+    model: &mut Reconstruction,
+    points: &[PointId],
+    is_free: &IsFree<'_>,
+    options: &TrackOptions,
+) -> usize {
     let may_grow = |point: &&PointId| {
         model.track(**point).is_some_and(|track| {
             let mut next = track.observations.iter().flat_map(|o| graph.correspondences(*o));
-            next.any(|next| free.has(next) && completes(model, next, &track.xyz, options))
+            next.any(|next| is_free(model, next) && completes(model, next, &track.xyz, options))
         })
     };
     let open: Vec<PointId> = points.par_iter().filter(may_grow).copied().collect();
@@ -356,12 +377,15 @@ mod tests {
     fn broken_model(scene: &FeatureScene, rng: &mut Rng) -> Reconstruction {
         let truth = scene.truth();
         let mut model = scene.without_poses();
-        for (image, _, pose) in truth.registered() {
+        // One image has no pose.
+        for (image, _, pose) in truth.registered().skip(1) {
             model.register(image, *pose);
         }
         for (index, (_, track)) in truth.tracks().enumerate() {
             let xyz = track.xyz.map(|value| value + 0.01 * rng.normal());
-            let observations = track.observations.clone();
+            let is_posed = |of: &&Observation| is_registered(&model, of.image);
+            let observations: Vec<Observation> =
+                track.observations.iter().filter(is_posed).copied().collect();
             let parts = match index % 3 {
                 0 => Vec::new(),
                 1 if observations.len() >= 4 => {
@@ -372,7 +396,7 @@ mod tests {
                 _ if observations.len() >= 3 => vec![observations[1..].to_vec()],
                 _ => vec![observations],
             };
-            for observations in parts {
+            for observations in parts.into_iter().filter(|part| part.len() >= 2) {
                 model.add_track(Track::new(xyz, observations));
             }
         }
@@ -404,13 +428,22 @@ mod tests {
                     }
                 }
             }
-            assert_eq!(triangulate_images(&graph, &mut model, &images, &options), count);
+            let free = FreeKeypoints::new(&model);
+            let mut direct = model.clone();
+            let table: &IsFree<'_> = &|_, of| free.has(of);
+            assert_eq!(triangulate_images(&graph, &mut model, &images, table, &options), count);
+            let same = triangulate_images(&graph, &mut direct, &images, &has_no_point, &options);
+            assert!(same == count && direct == model);
             assert!(count > 0 && model == slow);
 
             let points: Vec<PointId> = slow.tracks().map(|(point, _)| point).collect();
             let completed = points.iter().map(|p| complete_track(&graph, &mut slow, *p, &options));
             let count: usize = completed.sum();
-            assert_eq!(complete_tracks(&graph, &mut model, &points, &options), count);
+            let free = FreeKeypoints::new(&model);
+            assert_eq!(complete_tracks(&graph, &mut direct, &points, &options), count);
+            let table: &IsFree<'_> = &|_, of| free.has(of);
+            assert_eq!(complete(&graph, &mut model, &points, table, &options), count);
+            assert!(direct == model);
             assert!(count > 0 && model == slow);
 
             let merged = points.iter().map(|p| merge_track(&graph, &mut slow, *p, &options));
