@@ -451,9 +451,10 @@ pub(crate) struct Pairs {
     /// auto: all of up to 200 images; of more, neighbours and loops where times or numbers show a
     /// sequence, else the most similar images. exhaustive: all. sequential:N: each image with its N
     /// neighbours before and after, within a camera and across cameras (sequential alone is
-    /// sequential:10). sequential:N+ends: also the first N with the last N. sequential:N+loops:K:
-    /// also each image with its K most similar images, to find loops. similar:K: each image with
-    /// its K most similar images only, for unordered photos.
+    /// sequential:10). sequential:N+thin: of these those that are 1, 2, 3, 4, 6, 8, 12, 16 ...
+    /// images away. sequential:N+ends: also the first N with the last N. sequential:N+loops:K: also
+    /// each image with its K most similar images, to find loops. similar:K: each image with its K
+    /// most similar images only, for unordered photos.
     #[arg(long, value_name = "SELECTION", default_value_t = PairSelection::Auto)]
     pub(crate) pairs: PairSelection,
 }

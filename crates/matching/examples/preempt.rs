@@ -30,8 +30,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         .iter()
         .map(|image| Prepared::with_leading(&image.descriptors, image.order(512)))
         .collect();
-    let selection =
-        PairSelection::Sequential { overlap: overlap.parse()?, is_closed: false, loops: 0 };
+    let selection = PairSelection::sequential(overlap.parse()?);
     let options = Options::default();
     let always_preempted =
         Options { preempt: Some(PreemptiveMatching { min_matches: u32::MAX }), ..options.clone() };

@@ -5,9 +5,8 @@
 pub enum Error {
     /// The text is not a pair selection.
     #[error(
-        "unknown pair selection \"{0}\": use auto, exhaustive, sequential:N, sequential:N+ends, \
-        sequential:N+loops:K or similar:K, for \
-         example sequential:20+loops:10"
+        "unknown pair selection \"{0}\": use auto, exhaustive, sequential:N, sequential:N+thin, \
+        sequential:N+ends, sequential:N+loops:K or similar:K, for example sequential:20+loops:10"
     )]
     PairSelection(String),
     /// A sequence has different numbers of images and times.

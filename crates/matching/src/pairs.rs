@@ -12,7 +12,7 @@ use crate::error::Error;
 pub type Pair = (u32, u32);
 
 /// The rule of the pair selection. Its text forms are `auto`, `exhaustive`, `sequential:20`,
-/// `sequential:20+ends`, `sequential:20+loops:10` and `similar:30`.
+/// `sequential:20+thin`, `sequential:20+ends`, `sequential:20+loops:10` and `similar:30`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PairSelection {
     /// All pairs of few images. Of more, the neighbours in sequences and the images that
@@ -23,8 +23,11 @@ pub enum PairSelection {
     Exhaustive,
     /// Each image with its neighbours in time, of its own camera and of all other cameras.
     Sequential {
-        /// Number of neighbours before and after the image.
+        /// Distance of the farthest neighbours before and after the image.
         overlap: u32,
+        /// Whether the neighbours thin out with their distance: of 20 these are 1, 2, 3, 4, 6, 8,
+        /// 12 and 16 images away. Else each is a neighbour.
+        is_thinned: bool,
         /// For drives that return to their start: whether the first `overlap` images of every
         /// camera are also matched with the last `overlap` images of every camera.
         is_closed: bool,
@@ -56,8 +59,7 @@ impl FromStr for PairSelection {
             "auto" => return Ok(PairSelection::Auto),
             "exhaustive" => return Ok(PairSelection::Exhaustive),
             "sequential" => {
-                let (overlap, is_closed, loops) = (DEFAULT_OVERLAP, false, 0);
-                return Ok(PairSelection::Sequential { overlap, is_closed, loops });
+                return Ok(PairSelection::sequential(DEFAULT_OVERLAP));
             }
             _ => {}
         }
@@ -69,11 +71,14 @@ impl FromStr for PairSelection {
             Some((rest, digits)) => (rest, count(digits)?),
             None => (rest, 0),
         };
-        let (overlap, is_closed) = match rest.strip_suffix("+ends") {
-            Some(overlap) => (overlap, true),
-            None => (rest, false),
+        let without = |text, suffix| match str::strip_suffix(text, suffix) {
+            Some(rest) => (rest, true),
+            None => (text, false),
         };
-        Ok(PairSelection::Sequential { overlap: count(overlap)?, is_closed, loops })
+        let (rest, is_closed) = without(rest, "+ends");
+        let (overlap, is_thinned) = without(rest, "+thin");
+        let overlap = count(overlap)?;
+        Ok(PairSelection::Sequential { overlap, is_thinned, is_closed, loops })
     }
 }
 
@@ -82,8 +87,11 @@ impl fmt::Display for PairSelection {
         match *self {
             PairSelection::Auto => f.write_str("auto"),
             PairSelection::Exhaustive => f.write_str("exhaustive"),
-            PairSelection::Sequential { overlap, is_closed, loops } => {
+            PairSelection::Sequential { overlap, is_thinned, is_closed, loops } => {
                 write!(f, "sequential:{overlap}")?;
+                if is_thinned {
+                    f.write_str("+thin")?;
+                }
                 if is_closed {
                     f.write_str("+ends")?;
                 }
@@ -98,6 +106,11 @@ impl fmt::Display for PairSelection {
 }
 
 impl PairSelection {
+    /// Each image with a number of neighbours before and after it.
+    pub fn sequential(overlap: u32) -> Self {
+        PairSelection::Sequential { overlap, is_thinned: false, is_closed: false, loops: 0 }
+    }
+
     /// Number of similar images by [`RetrievalIndex`](crate::retrieval::RetrievalIndex) with which
     /// each image is matched, in addition to [`pairs`](Self::pairs).
     pub fn similar(self) -> u32 {
@@ -121,12 +134,16 @@ impl PairSelection {
                 }
             }
             PairSelection::Auto | PairSelection::Similar { .. } => {}
-            PairSelection::Sequential { overlap, is_closed, .. } => {
+            PairSelection::Sequential { overlap, is_thinned, is_closed, .. } => {
                 let overlap = overlap as usize;
+                // Thinned distances are 0, 2ⁿ and 3 · 2ⁿ.
+                let odd = |distance: usize| distance >> distance.trailing_zeros();
+                let is_taken =
+                    |distance| !is_thinned || distance == 0 || matches!(odd(distance), 1 | 3);
                 for (from, to) in
                     cameras.iter().flat_map(|from| cameras.iter().map(move |to| (from, to)))
                 {
-                    push_neighbours(&mut pairs, from, to, overlap);
+                    push_neighbours(&mut pairs, from, to, overlap, is_taken);
                     if is_closed {
                         let first = &from.images[..overlap.min(from.images.len())];
                         let last = &to.images[to.images.len().saturating_sub(overlap)..];
@@ -213,9 +230,15 @@ impl Sequence {
     }
 }
 
-/// Pairs each image of `from` with the simultaneous image of `to` and the `overlap` images before
-/// after it.
-fn push_neighbours(pairs: &mut Vec<Pair>, from: &Sequence, to: &Sequence, overlap: usize) {
+/// Pairs each image of `from` with the simultaneous image of `to`, and with those of the `overlap`
+/// images before and after it whose distance is taken.
+fn push_neighbours(
+    pairs: &mut Vec<Pair>,
+    from: &Sequence,
+    to: &Sequence,
+    overlap: usize,
+    is_taken: impl Fn(usize) -> bool,
+) {
     let by_time = from.times_s.len() == from.images.len() && to.times_s.len() == to.images.len();
     let is_same_camera = std::ptr::eq(from, to);
     for (position, &image) in from.images.iter().enumerate() {
@@ -226,7 +249,8 @@ fn push_neighbours(pairs: &mut Vec<Pair>, from: &Sequence, to: &Sequence, overla
         };
         let first = centre.saturating_sub(overlap).min(to.images.len());
         let last = centre.saturating_add(overlap).saturating_add(1).min(to.images.len());
-        pairs.extend(to.images[first..last].iter().map(|&other| (image, other)));
+        let taken = (first..last).filter(|other| is_taken(centre.abs_diff(*other)));
+        pairs.extend(taken.map(|other| (image, to.images[other])));
     }
 }
 

@@ -1,7 +1,7 @@
 use super::*;
 
 fn sequential(overlap: u32) -> PairSelection {
-    PairSelection::Sequential { overlap, is_closed: false, loops: 0 }
+    PairSelection::sequential(overlap)
 }
 
 #[test]
@@ -11,6 +11,8 @@ fn text_round_trip_and_invalid_texts() {
         "sequential:1",
         "sequential:20",
         "sequential:20+ends",
+        "sequential:20+thin",
+        "sequential:20+thin+ends+loops:2",
         "sequential:20+loops:10",
         "sequential:3+ends+loops:1",
         "similar:30",
@@ -31,6 +33,7 @@ fn text_round_trip_and_invalid_texts() {
         "sequential:3+loops:",
         "sequential:3+loops:0",
         "sequential:3+loops:2+ends",
+        "sequential:3+ends+thin",
         "similar:0",
         "similar",
         "sequential:99999999999",
@@ -85,6 +88,19 @@ fn number_of_pairs_of_two_cameras() {
 }
 
 #[test]
+fn thinned_neighbours_are_at_most_half_of_those_of_a_drive() {
+    const FRAMES: u32 = 2000;
+    let cameras =
+        [Sequence::new((0..FRAMES).collect()), Sequence::new((FRAMES..2 * FRAMES).collect())];
+    let [all, thinned] = ["sequential:20", "sequential:20+thin"]
+        .map(|text| text.parse::<PairSelection>().unwrap().pairs(&cameras));
+    let is_taken =
+        |&(a, b): &Pair| [0, 1, 2, 3, 4, 6, 8, 12, 16].contains(&(a % FRAMES).abs_diff(b % FRAMES));
+    assert_eq!(thinned, all.iter().copied().filter(is_taken).collect::<Vec<_>>());
+    assert!(2 * thinned.len() < all.len(), "{} of {}", thinned.len(), all.len());
+}
+
+#[test]
 fn sequential_across_cameras_by_time() {
     // Camera B has half the frame rate and starts 1.1 s after camera A.
     let a = Sequence::with_times(vec![0, 1, 2, 3, 4], vec![0.0, 1.0, 2.0, 3.0, 4.0]).unwrap();
@@ -111,7 +127,7 @@ fn position_nearest_in_time() {
 
 #[test]
 fn closed_ends_are_matched() {
-    let selection = PairSelection::Sequential { overlap: 2, is_closed: true, loops: 0 };
+    let selection: PairSelection = "sequential:2+ends".parse().unwrap();
     let cameras = [Sequence::new((0..10).collect()), Sequence::new((10..20).collect())];
     let mut expected = sequential(2).pairs(&cameras);
     for first in [0, 1, 10, 11] {

@@ -374,7 +374,7 @@ mod tests {
         let found = lines(feature_options(&unknown, None));
         assert_eq!(found[..2], ["features.camera_model = OPENCV", "features.focal_prior = 1200.5"]);
 
-        let pairs = PairSelection::Sequential { overlap: 10, is_closed: true, loops: 5 };
+        let pairs: PairSelection = "sequential:10+ends+loops:5".parse().expect("a selection");
         let found = lines(matching_options(pairs.to_string(), &VerifyOptions::default(), u64::MAX));
         for expected in
             ["match.pairs = sequential:10+ends+loops:5", "match.seed = 18446744073709551615"]

@@ -46,7 +46,12 @@ fn options_of(options: &Options) -> Result<AllOptions, String> {
     };
     let pairs = match options.text("data_type").to_ascii_lowercase().as_str() {
         "individual" | "internet" => PairSelection::Auto,
-        "video" => PairSelection::Sequential { overlap: 10, is_closed: false, loops: 10 },
+        "video" => PairSelection::Sequential {
+            overlap: 10,
+            is_thinned: false,
+            is_closed: false,
+            loops: 10,
+        },
         other => {
             return Err(format!("there is no data type {other}: individual, video or internet"));
         }
