@@ -176,17 +176,21 @@ class Surface:
         self.footprints = np.concatenate(footprints)
         self.tree = cKDTree(self.points)
 
-    def quality(self, cloud):
-        """Accuracy, completeness and F1 in percent, by footprints."""
-        if len(cloud) == 0:
-            return {"accuracy": [0] * 3, "completeness": [0] * 3, "f1": [0] * 3}
+    def distances(self, cloud):
+        """Of each point to the surface, in footprints."""
         _, nearest = self.tree.query(cloud, workers=-1)
         offset = cloud - self.points[nearest]
         across = abs((offset * self.normals[nearest]).sum(1))
         beside = np.sqrt(np.maximum((offset**2).sum(1) - across**2, 0))
         footprint = self.footprints[nearest]
         beside = np.maximum(beside - SPACING * footprint, 0)
-        distance = np.hypot(across, beside) / footprint
+        return np.hypot(across, beside) / footprint
+
+    def quality(self, cloud):
+        """Accuracy, completeness and F1 in percent, by footprints."""
+        if len(cloud) == 0:
+            return {"accuracy": [0] * 3, "completeness": [0] * 3, "f1": [0] * 3}
+        distance = self.distances(cloud)
         back = cKDTree(cloud).query(self.points, workers=-1)[0] / self.footprints
         share = lambda values, limit: 100 * float((values <= limit).mean())
         accuracy = [share(distance, k) for k in FOOTPRINTS]

@@ -229,14 +229,18 @@ fn stages(report: &Report) -> String {
         }
     }
     if let Some(dense) = &report.stages.dense {
-        let DenseReport { seconds, depth_maps, megapixels, points, without_depth_map } = dense;
+        let DenseReport { seconds, depth_maps, megapixels, points, without_depth_map, .. } = dense;
+        let rows = match dense.depth_maps_with_row_poses {
+            0 => String::new(),
+            count => format!(", {count} with the poses of their rows"),
+        };
         let without = match without_depth_map.is_empty() {
             true => String::new(),
             false => format!(", none for {}", names(without_depth_map)),
         };
         line(format_args!(
             "dense     dense/fused.ply: {points} points from {depth_maps} depth maps of together \
-            {megapixels:.1} megapixels{without}  ({seconds:.1} s)"
+            {megapixels:.1} megapixels{rows}{without}  ({seconds:.1} s)"
         ));
     }
     text

@@ -4,8 +4,15 @@ use tiepoint_geometry::nalgebra::{Matrix3, Vector2, Vector3};
 use tiepoint_geometry::{CameraModelKind, Rigid3};
 use tiepoint_scene::Camera;
 
+use crate::rows::PixelPoses;
+
+/// Fixed-point steps from the place of a point at the time of the middle row to that at the time of
+/// its row. An image moves by a twentieth of its height during the readout, or less, so that an
+/// error of 1/40 of the height becomes 1/320,000 of it.
+const SEE_STEPS: usize = 3;
+
 /// A pinhole camera with its pose.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct PosedPinhole {
     /// Width of the image, in pixels.
     pub width: usize,
@@ -15,8 +22,10 @@ pub struct PosedPinhole {
     pub focal: [f64; 2],
     /// cx and cy, in pixels; the centre of the top-left pixel is (0.5, 0.5).
     pub centre: [f64; 2],
-    /// The pose.
+    /// The pose; that of the middle row of a rolling shutter.
     pub cam_from_world: Rigid3,
+    /// The poses of the pixels of a rolling shutter. The depth of a pixel is z in its own pose.
+    pub rows: Option<PixelPoses>,
 }
 
 impl PosedPinhole {
@@ -30,6 +39,7 @@ impl PosedPinhole {
             focal: [k[(0, 0)], k[(1, 1)]],
             centre: [k[(0, 2)], k[(1, 2)]],
             cam_from_world: *cam_from_world,
+            rows: None,
         })
     }
 
@@ -41,13 +51,39 @@ impl PosedPinhole {
             focal: self.focal.map(|focal| 0.5 * focal),
             centre: self.centre.map(|centre| 0.5 * centre),
             cam_from_world: self.cam_from_world,
+            rows: self.rows.as_ref().map(PixelPoses::halved),
         }
     }
 
+    /// The pose at a time, in readouts from the middle row.
+    pub(crate) fn at_time(&self, time: f64) -> Rigid3 {
+        let middle = &self.cam_from_world;
+        self.rows.as_ref().map_or(*middle, |rows| rows.at_time(middle, time))
+    }
+
+    /// The pose of a pixel index, which need not be whole.
+    pub(crate) fn pose(&self, x: f64, y: f64) -> Rigid3 {
+        let Some(rows) = &self.rows else { return self.cam_from_world };
+        rows.at_time(&self.cam_from_world, f64::from(rows.times.at(x as f32, y as f32).time))
+    }
+
     /// K for pixel indices: the centre of the top-left pixel is (0, 0).
-    fn index_matrix(&self) -> Matrix3<f64> {
+    pub(crate) fn index_matrix(&self) -> Matrix3<f64> {
         let ([fx, fy], [cx, cy]) = (self.focal, self.centre.map(|centre| centre - 0.5));
         Matrix3::new(fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0)
+    }
+
+    /// A point of the world frame in the frame of the camera when it sees the point, and the pixel
+    /// index, not rounded; `None` behind the camera.
+    pub(crate) fn see(&self, point: &Vector3<f64>) -> Option<(Vector3<f64>, Vector2<f64>)> {
+        let mut in_camera = self.cam_from_world * *point;
+        let mut place = self.project(&in_camera)?;
+        let steps = if self.rows.is_some() { SEE_STEPS } else { 0 };
+        for _ in 0..steps {
+            in_camera = self.pose(place.x, place.y) * *point;
+            place = self.project(&in_camera)?;
+        }
+        Some((in_camera, place))
     }
 
     /// The ray (x/z, y/z) of a pixel index.
@@ -68,59 +104,5 @@ impl PosedPinhole {
         (point.z > tiepoint_geometry::cameras::MIN_DEPTH).then(|| {
             Vector2::new(fx * point.x / point.z + cx - 0.5, fy * point.y / point.z + cy - 0.5)
         })
-    }
-}
-
-/// Transfer of a pixel with an inverse depth to another image (Hartley & Zisserman, Eq. 9.7):
-/// x' ~ infinite_homography · x + epipole · (1/z), for pixel indices.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Transfer {
-    /// K' R K⁻¹, by columns.
-    pub(crate) columns: [[f32; 3]; 3],
-    /// K' t.
-    pub(crate) epipole: [f32; 3],
-}
-
-impl Transfer {
-    pub(crate) fn new(from: &PosedPinhole, to: &PosedPinhole) -> Self {
-        let to_from = to.cam_from_world * from.cam_from_world.inverse();
-        let rotation = to_from.rotation.to_rotation_matrix().into_inner();
-        let ([fx, fy], [cx, cy]) = (from.focal, from.centre.map(|centre| centre - 0.5));
-        let inverse = Matrix3::new(1.0 / fx, 0.0, -cx / fx, 0.0, 1.0 / fy, -cy / fy, 0.0, 0.0, 1.0);
-        let homography = to.index_matrix() * rotation * inverse;
-        let epipole = to.index_matrix() * to_from.translation;
-        let column = |index: usize| std::array::from_fn(|row| homography[(row, index)] as f32);
-        Self {
-            columns: std::array::from_fn(column),
-            epipole: std::array::from_fn(|row| epipole[row] as f32),
-        }
-    }
-
-    /// The transferred pixel at infinity, homogeneous.
-    #[inline(always)]
-    pub(crate) fn at_infinity(&self, x: f32, y: f32) -> [f32; 3] {
-        let [a, b, c] = &self.columns;
-        [a[0] * x + b[0] * y + c[0], a[1] * x + b[1] * y + c[1], a[2] * x + b[2] * y + c[2]]
-    }
-
-    /// The transferred pixel, homogeneous, from that at infinity.
-    #[inline(always)]
-    pub(crate) fn at(&self, at_infinity: &[f32; 3], inverse_depth: f32) -> [f32; 3] {
-        let e = &self.epipole;
-        [
-            at_infinity[0] + e[0] * inverse_depth,
-            at_infinity[1] + e[1] * inverse_depth,
-            at_infinity[2] + e[2] * inverse_depth,
-        ]
-    }
-
-    /// Squared derivative of a transferred pixel, of this homogeneous place, by the inverse depth.
-    #[inline(always)]
-    pub(crate) fn squared_parallax(&self, [x, y, z]: &[f32; 3]) -> f32 {
-        let e = &self.epipole;
-        let inverse = 1.0 / z;
-        let (u, v) = (x * inverse, y * inverse);
-        let (du, dv) = ((e[0] - e[2] * u) * inverse, (e[1] - e[2] * v) * inverse);
-        du * du + dv * dv
     }
 }

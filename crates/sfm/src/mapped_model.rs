@@ -1,10 +1,11 @@
 use std::collections::BTreeMap;
 
+use tiepoint_geometry::RowPoses;
 use tiepoint_scene::{CameraId, ImageId, ImagePair, Reconstruction};
 
 use crate::event::Failure;
 use crate::rigs::CalibratedRig;
-use crate::rolling_shutter::{RollingShutter, RowPoses};
+use crate::rolling_shutter::RollingShutter;
 
 /// A model with the results of its optional stages.
 #[derive(Clone, Debug, PartialEq)]

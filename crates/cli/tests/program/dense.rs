@@ -316,3 +316,21 @@ fn dense_uses_masks_and_writes_what_it_is_asked_for() {
     mask.save(dir.join(format!("masks/{other}.png"))).unwrap();
     tiepoint_in(dir, masked).failed(1, &["masks"]);
 }
+
+/// The motion during the readout is that of all images, and adds nothing to the results of a model
+/// without a rolling shutter.
+#[test]
+fn a_rolling_shutter_is_seen_from_the_poses_of_its_rows() {
+    let dir = tempfile::tempdir().unwrap();
+    let dir = dir.path();
+    let drive = "synth -o {}/drive --frames 6 --size 320x240 --view-direction right";
+    tiepoint_in(dir, &format!("{drive} --effects rolling-shutter")).done();
+    let run = "reconstruct {}/drive --timestamps {}/drive/timestamps.csv --max-size 160 --dense";
+    let report = |options: &str| tiepoint_in(dir, &format!("{run} --json {options}")).done().json();
+    let rolling = report("-o {}/rolling --rolling-shutter 16ms");
+    let dense = &rolling["stages"]["dense"];
+    assert!(dense["depth_maps"].as_u64() > Some(0), "{rolling}");
+    assert_eq!(dense["depth_maps_with_row_poses"], dense["depth_maps"], "{rolling}");
+    let global = report("-o {}/global");
+    assert!(global["stages"]["dense"].get("depth_maps_with_row_poses").is_none(), "{global}");
+}

@@ -170,7 +170,7 @@ fn fuse_pixel(
     let (mut depth, mut normal) = (own.depth, own.normal);
     let mut color = own.color.map(u32::from);
     let mut odds = f64::from(own.odds);
-    let point = reference.world_point(&own, own.depth);
+    let point = own.world_point(own.depth);
     let min_cosine = options.max_normal_error_rad.cos();
     let mut finest = (1.0, None);
     // Images in whose frame the point lies.
@@ -205,7 +205,7 @@ fn fuse_pixel(
     if let (_, Some((slot, pixel))) = finest {
         return Some(Outcome::Left { slot, pixel });
     }
-    let xyz = reference.world_point(&own, depth / f64::from(count));
+    let xyz = own.world_point(depth / f64::from(count));
     let length = normal.norm();
     let normal = if length > 0.0 { normal / length } else { own.normal };
     let point = PointCandidate {

@@ -20,7 +20,7 @@ const MIN_COSINE: f64 = 0.1;
 #[derive(Clone, Debug)]
 pub struct FusionImage {
     pub(super) camera: PosedPinhole,
-    world_from_cam: Rigid3,
+    pose: Pose,
     /// By pixel; 0 where there is none.
     pub(super) depths: Vec<f32>,
     /// Of each depth, in units of 1/[`CERTAIN`].
@@ -34,8 +34,23 @@ pub struct FusionImage {
     pub(super) marks: Vec<u64>,
 }
 
+/// A pose and its inverse.
+#[derive(Clone, Copy, Debug)]
+struct Pose {
+    cam_from_world: Rigid3,
+    world_from_cam: Rigid3,
+}
+
+impl Pose {
+    fn new(cam_from_world: Rigid3) -> Self {
+        Self { cam_from_world, world_from_cam: cam_from_world.inverse() }
+    }
+}
+
 /// The surface at a pixel.
 pub(super) struct Surface {
+    /// The pose of the pixel.
+    pose: Pose,
     pub(super) index: usize,
     /// The ray with z = 1, in the camera frame.
     ray: Vector3<f64>,
@@ -77,8 +92,8 @@ impl FusionImage {
             (f32::from(CERTAIN) * value).round().clamp(1.0, f32::from(CERTAIN - 1)) as u8
         };
         Ok(Self {
+            pose: Pose::new(camera.cam_from_world),
             camera,
-            world_from_cam: camera.cam_from_world.inverse(),
             confidences: depths.confidences.iter().map(confidence).collect(),
             depths: depths.depths,
             normals: normals.collect(),
@@ -95,12 +110,18 @@ impl FusionImage {
             let normal =
                 self.normals[index].map(|value| f64::from(value) / f64::from(NORMAL_SCALE));
             let normal = Vector3::from(normal);
-            let ray = self.camera.point(x as f64, y as f64, 1.0);
+            let (x, y) = (x as f64, y as f64);
+            let ray = self.camera.point(x, y, 1.0);
+            let pose = match self.camera.rows {
+                None => self.pose,
+                Some(_) => Pose::new(self.camera.pose(x, y)),
+            };
             Surface {
+                pose,
                 index,
                 ray,
                 depth,
-                normal: self.world_from_cam.rotation * normal,
+                normal: pose.world_from_cam.rotation * normal,
                 color: std::array::from_fn(|channel| self.colors[3 * index + channel]),
                 odds: f32::from(self.confidences[index])
                     / f32::from(CERTAIN - self.confidences[index]),
@@ -108,33 +129,35 @@ impl FusionImage {
         })
     }
 
-    /// The point on the ray of a surface at a depth.
-    pub(super) fn world_point(&self, surface: &Surface, depth: f64) -> Vector3<f64> {
-        self.world_from_cam * (surface.ray * depth)
-    }
-
     /// A point of the world frame in that of the camera, and the pixel that sees it; `None` if it
     /// lies outside of the image.
     pub(super) fn seen(&self, point: &Vector3<f64>) -> Option<(Vector3<f64>, [usize; 2])> {
-        let in_camera = self.camera.cam_from_world * *point;
-        let place = self.camera.project(&in_camera)?;
+        let (in_camera, place) = self.camera.see(point)?;
         let (x, y) = ((place.x + 0.5).floor(), (place.y + 0.5).floor());
         let (width, height) = (self.camera.width as f64, self.camera.height as f64);
         let is_inside = x >= 0.0 && y >= 0.0 && x < width && y < height;
         is_inside.then_some((in_camera, [x as usize, y as usize]))
     }
 
-    /// Area of a pixel on a surface at a point of the world frame, up to the length of the normal.
+    /// Area of a pixel on a surface of this normal in the world frame, up to the length of the
+    /// normal.
     fn area(&self, in_camera: &Vector3<f64>, normal: &Vector3<f64>) -> f64 {
         let [fx, fy] = self.camera.focal;
         // A square of one pixel at this depth, seen at the angle between surface and ray.
-        let normal = self.camera.cam_from_world.rotation * normal;
+        let normal = self.pose.cam_from_world.rotation * normal;
         let cosine = normal.dot(in_camera).abs() / in_camera.norm();
         in_camera.z * in_camera.z / (fx * fy * cosine.max(MIN_COSINE))
     }
 
     pub(super) fn is_marked(&self, index: usize) -> bool {
         self.marks.get(index / 64).is_some_and(|word| word >> (index % 64) & 1 != 0)
+    }
+}
+
+impl Surface {
+    /// The point of the world frame on the ray at a depth.
+    pub(super) fn world_point(&self, depth: f64) -> Vector3<f64> {
+        self.pose.world_from_cam * (self.ray * depth)
     }
 }
 
@@ -161,14 +184,14 @@ pub(super) fn agreement(
     }
     // The plane of the pixel, met by the ray of the exact place: the depth of the pixel's centre
     // would be off by up to half a pixel of slope.
-    let normal = other.camera.cam_from_world.rotation * surface.normal;
+    let normal = surface.pose.cam_from_world.rotation * surface.normal;
     let ray = in_other / in_other.z;
     let along = normal.dot(&ray);
     let depth = normal.dot(&surface.ray) * surface.depth / along;
     if !(depth > 0.0 && (depth - in_other.z).abs() <= options.max_depth_error * in_other.z) {
         return None;
     }
-    let back = reference.camera.cam_from_world * (other.world_from_cam * (ray * depth));
+    let back = own.pose.cam_from_world * (surface.pose.world_from_cam * (ray * depth));
     let seen = reference.camera.project(&back)?;
     let own_place = reference.camera.project(&(own.ray * own.depth))?;
     if (seen - own_place).norm() > options.max_error_px {

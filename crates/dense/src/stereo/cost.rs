@@ -4,8 +4,8 @@ use super::maps::PlaneMap;
 use super::seeds::InverseDepthRange;
 use super::view::{MAX_SOURCES, StereoImage};
 use crate::ncc::{Ncc, OUTSIDE, Patch, Source, Warp};
-use crate::pinhole::Transfer;
 use crate::plane::{Plane, Rays};
+use crate::transfer::{Transfer, Transferred};
 
 /// Weight and limit (in pixels) of the geometric term: Xu & Tao 2019, Eq. 9. Half of the weight
 /// lowers F1 by up to 0.5 %; twice changes it by at most 0.1 %.
@@ -77,8 +77,7 @@ impl Geometric {
     fn error_px(&self, x: f32, y: f32, place: &[f32; 3]) -> Option<f32> {
         let (u, v) = (place[0] / place[2], place[1] / place[2]);
         let inverse_depth = self.planes.inverse_depth_at(u, v)?;
-        let back = &self.to_reference;
-        let [p, q, z] = back.at(&back.at_infinity(u, v), inverse_depth);
+        let [p, q, z] = self.to_reference.place(u, v, inverse_depth);
         let (dx, dy) = (p / z - x, q / z - y);
         (z > 0.0).then(|| (dx * dx + dy * dy).sqrt())
     }
@@ -125,7 +124,7 @@ impl Costs {
         let mut support = Support::default();
         for source in &self.sources {
             let to = &source.to_source;
-            let place = to.at(&to.at_infinity(x, y), inverse_depth);
+            let place = to.place(x, y, inverse_depth);
             let error = source.geometric.as_ref().and_then(|term| term.error_px(x, y, &place));
             let Some(error) = error.filter(|_| place[2] > 0.0) else { continue };
             let weight = 1.0 / (1.0 + (error / SUPPORT_PX) * (error / SUPPORT_PX));
@@ -158,17 +157,11 @@ impl PixelCosts<'_> {
     #[inline(always)]
     fn in_source<N: Ncc>(&self, index: usize, plane: &Plane) -> f32 {
         let source = &self.costs.sources[index];
-        let Transfer { columns, epipole } = &source.to_source;
-        let centre = source.to_source.at(&self.at_infinity[index], plane.inverse_depth);
-        let [a, b] = plane.slope;
-        let along = |column: &[f32; 3], slope: f32| {
-            [
-                column[0] + epipole[0] * slope,
-                column[1] + epipole[1] * slope,
-                column[2] + epipole[2] * slope,
-            ]
-        };
-        let warp = Warp { centre, dx: along(&columns[0], a), dy: along(&columns[1], b) };
+        let at_infinity = &self.at_infinity[index];
+        let Plane { inverse_depth, slope } = *plane;
+        let Transferred { centre, derivatives: [dx, dy] } =
+            source.to_source.patch(at_infinity, [self.x, self.y], inverse_depth, slope);
+        let warp = Warp { centre, dx, dy };
         let cost = N::cost(&source.source, &warp, self.patch);
         match &source.geometric {
             Some(geometric) if cost < OUTSIDE => cost + geometric.cost(self.x, self.y, &centre),

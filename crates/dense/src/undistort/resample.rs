@@ -212,7 +212,7 @@ impl Undistortion {
     }
 
     /// The place in `from` of a place in `to`; `None` if `from` does not image its ray.
-    pub(super) fn source(&self, place: &Vector2<f64>) -> Option<Vector2<f64>> {
+    pub(crate) fn source(&self, place: &Vector2<f64>) -> Option<Vector2<f64>> {
         self.from.intrinsics.project(&self.to.intrinsics.unproject(place)?)
     }
 

@@ -18,6 +18,7 @@ fn image(x: f64, distance: f64) -> FusionImage {
         focal: [FOCAL; 2],
         centre: SIZE.map(|size| 0.5 * size as f64),
         cam_from_world: Rigid3::new(Rigid3::identity().rotation, Vector3::new(-x, 0.0, distance)),
+        rows: None,
     };
     let count = width * height;
     let (depths, confidences) = (vec![distance as f32; count], vec![0.5; count]);

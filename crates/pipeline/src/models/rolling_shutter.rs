@@ -10,8 +10,9 @@ use tiepoint_io::database::Database;
 use tiepoint_io::gsplat;
 use tiepoint_io::nerfstudio::Motion;
 use tiepoint_sfm::convert::keypoint;
+use tiepoint_sfm::geometry::RowPoses;
 use tiepoint_sfm::geometry::nalgebra::Vector2;
-use tiepoint_sfm::rolling_shutter::{RowPoses, row_poses};
+use tiepoint_sfm::rolling_shutter::row_poses;
 use tiepoint_sfm::scene::{ImageId, Reconstruction};
 
 use crate::Error;

@@ -133,6 +133,10 @@ pub struct DenseReport {
     pub seconds: f64,
     /// Number of images with a depth map.
     pub depth_maps: usize,
+    /// Number of those of a rolling shutter whose motion during the readout is known: the depth of
+    /// a pixel is z in the pose of its row.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub depth_maps_with_row_poses: usize,
     /// Registered images without a depth map, since they share no points with another image.
     pub without_depth_map: Vec<String>,
     /// Number of pixels of all depth maps, in millions.

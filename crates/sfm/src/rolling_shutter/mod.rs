@@ -5,6 +5,6 @@ mod readout;
 mod shutters;
 mod term;
 
-pub use motion::{RowPoses, row_poses};
+pub use motion::row_poses;
 pub use readout::{Readout, RollingShutter};
 pub(crate) use shutters::RollingShutters;

@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use tiepoint_adjust::Shifted;
 use tiepoint_geometry::nalgebra::{Vector2, Vector3};
 use tiepoint_geometry::numeric::median;
-use tiepoint_geometry::{Rigid3, so3};
+use tiepoint_geometry::{RowPoses, so3};
 use tiepoint_rig::Trajectory;
 use tiepoint_scene::{CameraId, ImageId, Reconstruction};
 
@@ -114,30 +114,6 @@ fn shifts(
     pixels.iter().enumerate().map(shifted).collect()
 }
 
-/// Motion of a rolling-shutter camera during the exposure of an image.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct RowPoses {
-    /// Velocity of the camera centre in the world frame, in units of the model a second.
-    pub velocity_in_world: Vector3<f64>,
-    /// Angular velocity in the camera frame, in radians a second.
-    pub angular_velocity_rad_s: Vector3<f64>,
-    /// Time from the first row to the last one, in seconds.
-    pub readout_s: f64,
-    /// Height of the image, in pixels.
-    pub height_px: f64,
-}
-
-impl RowPoses {
-    /// Returns the pose at the exposure of the row `y_px`, given the pose of the image, which is
-    /// that of the middle row.
-    pub fn cam_from_world(&self, middle: &Rigid3, y_px: f64) -> Rigid3 {
-        let time_s = (y_px / self.height_px - 0.5) * self.readout_s;
-        let shift = middle.rotation * self.velocity_in_world * time_s;
-        let turn = so3::exp(&(self.angular_velocity_rad_s * time_s));
-        Rigid3::new(turn * middle.rotation, turn * (middle.translation - shift))
-    }
-}
-
 /// Returns the motion of the images of rolling-shutter cameras, if known: images with times and
 /// neighbours in time, except next to one that seems to be misplaced. It is a function of the poses
 /// and times of a model.
@@ -161,7 +137,7 @@ pub fn row_poses(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use tiepoint_geometry::{CameraModelKind, Intrinsics};
+    use tiepoint_geometry::{CameraModelKind, Intrinsics, Rigid3};
     use tiepoint_scene::{Camera, Image};
 
     const IMAGES: usize = 100;

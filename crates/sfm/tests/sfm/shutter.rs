@@ -3,8 +3,8 @@
 use std::sync::LazyLock;
 
 use tiepoint_sfm::adjust::RefineIntrinsics;
-use tiepoint_sfm::geometry::{CameraModelKind, Intrinsics};
-use tiepoint_sfm::rolling_shutter::{Readout, RollingShutter, RowPoses, row_poses};
+use tiepoint_sfm::geometry::{CameraModelKind, Intrinsics, RowPoses};
+use tiepoint_sfm::rolling_shutter::{Readout, RollingShutter, row_poses};
 use tiepoint_sfm::scene::{Camera, Image, Reconstruction};
 use tiepoint_sfm::{Failure, Mapper, MapperOptions, OptionalStage};
 use tiepoint_synth::{

@@ -16,13 +16,15 @@ use tiepoint_dense::stereo::{
     estimate_fine, normals_of,
 };
 use tiepoint_dense::undistort::{UndistortOptions, Undistortion, undistort_model};
-use tiepoint_dense::{Grey, PosedPinhole, StereoProblem, select_views};
+use tiepoint_dense::{Grey, PixelPoses, PosedPinhole, StereoProblem, select_views};
 use tiepoint_input::images::DepthScale;
 use tiepoint_input::{Luma, Rgb};
 use tiepoint_io::Error as IoError;
 use tiepoint_io::colmap::Format;
 use tiepoint_io::dense::{DenseMap, FusedPly, FusedVisibility};
-use tiepoint_sfm::scene::{Image, ImageId, Reconstruction};
+use tiepoint_sfm::geometry::RowPoses;
+use tiepoint_sfm::rolling_shutter::row_poses;
+use tiepoint_sfm::scene::{Camera, Image, ImageId, Reconstruction};
 
 use self::masks::Masks;
 use crate::stages::dense::options::DenseOptions;
@@ -104,7 +106,8 @@ fn estimate_and_fuse(
         // From here on it says incomplete.
         workspace.note(|_| {})?;
     }
-    let mut run = Run::new(workspace, undistorted, problems, options, masks);
+    let rows = rows_of_photos(&located);
+    let mut run = Run::new(workspace, undistorted, problems, rows, options, masks);
     let total = 3 * run.problems.len();
     let (done, has_all_depths) = run.count_done()?;
     emit(stage.watch, &Event::StageBegan { stage: Stage::Dense, total, done })?;
@@ -140,6 +143,14 @@ fn estimate_and_fuse(
             all.stages.dense = Some(DenseReport { seconds, ..report });
         }),
     })
+}
+
+/// The motion of each photo during its exposure, and its camera; `None` where it is not known, as
+/// without a rolling shutter.
+fn rows_of_photos(located: &LocatedModel) -> Vec<Option<(RowPoses, Camera)>> {
+    let model = &located.reconstruction;
+    let mut rows = row_poses(model, &located.shutters);
+    model.registered().map(|(id, ..)| Some((rows.remove(&id)?, *model.camera_of(id)))).collect()
 }
 
 /// Checks that file systems, which allow names of 255 bytes, allow those of the depth maps.
@@ -221,6 +232,8 @@ struct Run<'a> {
     model: Reconstruction,
     /// One for each image of the model, in order.
     problems: Vec<StereoProblem>,
+    /// Of the photo of each image.
+    rows: Vec<Option<(RowPoses, Camera)>>,
     options: &'a DenseOptions,
     masks: Option<Masks>,
     depth_scale: DepthScale,
@@ -231,6 +244,7 @@ impl<'a> Run<'a> {
         workspace: &'a mut Workspace,
         model: Reconstruction,
         problems: Vec<StereoProblem>,
+        rows: Vec<Option<(RowPoses, Camera)>>,
         options: &'a DenseOptions,
         masks: Option<Masks>,
     ) -> Self {
@@ -238,7 +252,7 @@ impl<'a> Run<'a> {
         let ranges = problems.iter().filter_map(|problem| InverseDepthRange::of(&problem.seeds));
         let farthest = ranges.map(|range| 1.0 / range.min).fold(0.0, f32::max);
         let depth_scale = DepthScale::up_to(farthest);
-        Self { workspace, model, problems, options, masks, depth_scale }
+        Self { workspace, model, problems, rows, options, masks, depth_scale }
     }
 
     fn name(&self, index: usize) -> &str {
@@ -358,13 +372,16 @@ impl<'a> Run<'a> {
         let pinhole = image
             .cam_from_world()
             .and_then(|cam_from_world| PosedPinhole::new(camera, cam_from_world));
-        pinhole.ok_or_else(|| Error::Dense {
+        let mut pinhole = pinhole.ok_or_else(|| Error::Dense {
             path: self.path(&image_file(&image.name)),
             cause: tiepoint_dense::Error::Distorted {
                 image: image.name.clone(),
                 model: camera.intrinsics.kind().name(),
             },
-        })
+        })?;
+        pinhole.rows = self.rows[index]
+            .map(|(rows, photo)| PixelPoses::new(rows, &Undistortion::new(&photo, camera)));
+        Ok(pinhole)
     }
 
     /// An undistorted image. It is read from its file also in the run that wrote it, so that an
@@ -513,6 +530,7 @@ impl<'a> Run<'a> {
                 false => {
                     let camera = self.camera(index)?;
                     report.depth_maps += 1;
+                    report.depth_maps_with_row_poses += usize::from(camera.rows.is_some());
                     report.megapixels += (camera.width * camera.height) as f64 / 1e6;
                 }
             }
