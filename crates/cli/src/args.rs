@@ -66,9 +66,10 @@ pub(crate) enum Command {
     /// fused.ply.vis). Resumes an interrupted run image by image. Each depth has the probability
     /// that it is right in stereo/confidence_maps, each point in its property `confidence`.
     ///
-    /// A model of rolling shutters (`map --rolling-shutter`) is seen from the poses of the rows:
-    /// the cloud is right, and the depth of a pixel is z in the pose of its row. Programs that take
-    /// one pose an image, as COLMAP's stereo_fusion, shear such depth maps.
+    /// A model of rolling shutters (`map --rolling-shutter`) is seen from the poses of the rows
+    /// where the motion is known (`report.json` counts these images): the depth of a pixel is z in
+    /// the pose of its row. Programs that take one pose an image, as COLMAP's stereo_fusion and
+    /// trainers of splats, shear such depth maps.
     Dense(Dense),
     /// Estimates the poses of photos in an existing model, which stays as it is.
     ///

@@ -61,10 +61,13 @@ impl PosedPinhole {
         self.rows.as_ref().map_or(*middle, |rows| rows.at_time(middle, time))
     }
 
-    /// The pose of a pixel index, which need not be whole.
+    /// The pose of a pixel index, which need not be whole. Places far outside of the image have
+    /// that of a row one readout from the middle: their own would be metres away, from where a
+    /// point may seem to be in the image.
     pub(crate) fn pose(&self, x: f64, y: f64) -> Rigid3 {
         let Some(rows) = &self.rows else { return self.cam_from_world };
-        rows.at_time(&self.cam_from_world, f64::from(rows.times.at(x as f32, y as f32).time))
+        let time = rows.times.at(x as f32, y as f32).time.clamp(-1.0, 1.0);
+        rows.at_time(&self.cam_from_world, f64::from(time))
     }
 
     /// K for pixel indices: the centre of the top-left pixel is (0, 0).

@@ -16,7 +16,7 @@
 //!    repaired split together.
 //! 5. The standard deviations are divided by three, down to a floor, while the error of the
 //!    held-out tracks does not increase beyond a tolerance. That of the rotation stays, or becomes
-//!    larger again, where a smaller one increases the error by more than chance. The result
+//!    larger again, where a smaller one costs more than a standard error. The result
 //!    measures how rigid the mount is.
 //!
 //! If the images do not determine a clock, it is set to its time stamps and steps 2 to 5 are

@@ -9,8 +9,8 @@ use crate::timeline::images_of_cameras;
 
 /// Truncation of the reprojection errors of held-out observations, in pixels.
 const MAX_HELD_OUT_ERROR_PX: f64 = 4.0;
-/// An increase of the error is more than chance if it exceeds this many of its standard deviations:
-/// the one-standard-error rule of cross-validation (Breiman, Friedman, Olshen & Stone 1984, section
+/// An increase of the error counts if it exceeds this many of its standard deviations: the
+/// one-standard-error rule of cross-validation (Breiman, Friedman, Olshen & Stone 1984, section
 /// 3.4.3). Half changes nothing on KITTI 01 and 04, their windows and three rendered drives but
 /// `rigid` to `soft` on one of these; double changes two windows of KITTI 01, from 0.54 to 0.93 cm
 /// and from 0.70 to 0.67.
@@ -96,7 +96,7 @@ impl HeldOutComparison {
         self.change_between(&self.off, model)
     }
 
-    /// Whether the error of `model` is above that of `than` by more than chance.
+    /// Whether the error of `model` is above that of `than` by more than [`STANDARD_ERRORS`].
     pub(super) fn is_significantly_worse(
         &self,
         model: &Reconstruction,

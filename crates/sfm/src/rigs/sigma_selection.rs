@@ -189,7 +189,7 @@ impl Context<'_> {
         Ok(selection)
     }
 
-    /// Whether a constraint increases the error of the held-out tracks by more than chance, or
+    /// Whether a constraint increases the error of the held-out tracks significantly, or
     /// leaves rotations that are too large for it.
     fn is_costly(
         constrained: &ConstrainedModel,

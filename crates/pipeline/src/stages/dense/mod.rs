@@ -83,6 +83,9 @@ fn estimate_and_fuse(
     let workspace = &mut *stage.workspace;
     let folder = workspace.root().join(model_path(0));
     let located = LocatedModel::open(&folder)?;
+    if let Some(what) = located.note() {
+        emit(stage.watch, &Event::Noted { what })?;
+    }
     let photos = photos_of(&located, None)?;
     let model = &located.reconstruction;
     // Before old results are removed, which bad photos would not replace.
