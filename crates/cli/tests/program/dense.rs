@@ -317,7 +317,7 @@ fn dense_uses_masks_and_writes_what_it_is_asked_for() {
     tiepoint_in(dir, masked).failed(1, &["masks"]);
 }
 
-/// All depth maps of a drive with a rolling shutter have poses of rows, and none of a drive without.
+/// All depth maps of a drive with a rolling shutter have poses of rows, and none of another drive.
 #[test]
 fn a_rolling_shutter_is_seen_from_the_poses_of_its_rows() {
     let dir = tempfile::tempdir().unwrap();

@@ -6,7 +6,7 @@ use tiepoint_adjust::{
     AdjustOptions, Gauge, RefineIntrinsics, Scope, Term, adjust, keep_going, relative_noise,
 };
 use tiepoint_ba::Summary;
-use tiepoint_scene::{ImageId, Reconstruction};
+use tiepoint_scene::{CameraId, ImageId, Reconstruction};
 
 use super::existing::Existing;
 use super::input::Input;
@@ -222,11 +222,22 @@ impl<'a> Refiner<'a> {
 /// Whether some image is rotated relative to the first image of its camera. Two cameras of a rig
 /// have different orientations without rotating. If each image has its own camera, images are
 /// compared with each other.
-pub(super) fn has_rotation(model: &Reconstruction) -> bool {
+fn has_rotation(model: &Reconstruction) -> bool {
     let is_shared = model.cameras().count() < model.images().count();
     let mut first = BTreeMap::new();
     model.registered().any(|(_, image, pose)| {
         let camera = is_shared.then_some(image.camera);
         first.entry(camera).or_insert(pose.rotation).angle_to(&pose.rotation) > MIN_ROTATION_RAD
     })
+}
+
+/// Whether the images of a camera turn, which determines its focal length whatever those of others
+/// do.
+pub(super) fn turns(model: &Reconstruction, camera: CameraId) -> bool {
+    let mut rotations = model
+        .registered()
+        .filter(|(_, image, _)| image.camera == camera)
+        .map(|(_, _, pose)| pose.rotation);
+    let Some(first) = rotations.next() else { return false };
+    rotations.any(|rotation| first.angle_to(&rotation) > MIN_ROTATION_RAD)
 }

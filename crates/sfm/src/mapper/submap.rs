@@ -16,7 +16,7 @@ use super::growth::Growth;
 use super::incremental::{initial_focal_lengths, initialise, without_model};
 use super::input::Input;
 use super::join::{agrees, registered, with_cameras_of};
-use super::refiner::{Refiner, has_rotation};
+use super::refiner::{Refiner, turns};
 use super::solution::Solution;
 use crate::Error;
 use crate::event::Watch;
@@ -108,9 +108,9 @@ pub(super) fn map_part(
     Ok(to.bytes)
 }
 
-/// Gives the cameras that the models of the first part have the intrinsics that they have there. If
-/// that model determines focal lengths, they are known. Each part refines them: what is wrong in
-/// one is not wrong in all.
+/// Gives the cameras of the models of the first part the intrinsics that they have there. The focal
+/// lengths of those whose images turn there are known. Each part refines them: what is wrong in one
+/// is not wrong in all.
 fn calibrate(
     scene: &mut Reconstruction,
     first: &[u8],
@@ -124,7 +124,7 @@ fn calibrate(
         for id in model.registered_cameras() {
             let camera = scene.camera_mut(id);
             camera.intrinsics = model.camera(id).intrinsics;
-            camera.has_focal_prior |= has_rotation(&model);
+            camera.has_focal_prior |= turns(&model, id);
         }
     }
     Ok(())
