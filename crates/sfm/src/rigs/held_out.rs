@@ -12,8 +12,7 @@ const MAX_HELD_OUT_ERROR_PX: f64 = 4.0;
 /// An increase of the error counts if it exceeds this many of its standard deviations: the
 /// one-standard-error rule of cross-validation (Breiman, Friedman, Olshen & Stone 1984, section
 /// 3.4.3). Half changes nothing on KITTI 01 and 04, their windows and three rendered drives but
-/// `rigid` to `soft` on one of these; double changes two windows of KITTI 01, from 0.54 to 0.93 cm
-/// and from 0.70 to 0.67.
+/// `rigid` to `soft` on one of these; double changes a window of KITTI 01, from 0.54 to 0.93 cm.
 const STANDARD_ERRORS: f64 = 1.0;
 /// Parts of the drive whose errors count as independent of each other in the standard deviation of
 /// a change. They are longer than tracks as long as a drive has some hundred images. The usual

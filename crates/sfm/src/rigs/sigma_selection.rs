@@ -125,6 +125,9 @@ impl Context<'_> {
             found.1.clamp(SIGMA_FLOOR.1, SIGMA_CEILING.1),
         );
         let mut selection = SigmaSelection::default();
+        // The spread of free poses is more than the mount turns, but neighbouring frames turn alike:
+        // a step more.
+        let loosest = (SIGMA_STEP * sigmas.1).min(SIGMA_CEILING.1);
         let mut is_flexible = false;
         // The model with the least error of the held-out tracks.
         let (mut least, mut least_px) = (model.clone(), comparison.error_off_px);
@@ -140,15 +143,18 @@ impl Context<'_> {
             )?;
             // The tracks of a split fit its extrinsics only when they are created again.
             let has_split = tolerance == SPLIT_TOLERANCE;
-            if !(is_flexible || has_split) && Self::is_costly(&constrained, &least, comparison) {
-                is_flexible = self.loosen_rotation(
-                    &mut constrained,
-                    model,
-                    sensor_pairs,
-                    unmatched,
-                    merge_error_factor,
-                    comparison,
-                )?;
+            if !(is_flexible || has_split) && is_costly(&constrained, &least, comparison) {
+                let constrain = |sigmas| {
+                    self.constrain_softly(
+                        model,
+                        sensor_pairs,
+                        sigmas,
+                        unmatched,
+                        merge_error_factor,
+                        comparison,
+                    )
+                };
+                is_flexible = loosen_rotation(&mut constrained, loosest, comparison, constrain)?;
                 sigmas = constrained.sigmas;
             }
             let ConstrainedModel { model: candidate, all_extrinsics, error_px, .. } = constrained;
@@ -187,52 +193,6 @@ impl Context<'_> {
             sigmas = next;
         }
         Ok(selection)
-    }
-
-    /// Whether a constraint increases the error of the held-out tracks significantly, or
-    /// leaves rotations that are too large for it.
-    fn is_costly(
-        constrained: &ConstrainedModel,
-        than: &Reconstruction,
-        comparison: &HeldOutComparison,
-    ) -> bool {
-        !constrained.residuals_consistent()[1]
-            || comparison.is_significantly_worse(&constrained.model, than)
-    }
-
-    /// Multiplies the standard deviation of the rotation alone as long as the smaller one is
-    /// costly. Returns whether it was: the mount is flexible.
-    fn loosen_rotation(
-        &mut self,
-        constrained: &mut ConstrainedModel,
-        model: &Reconstruction,
-        sensor_pairs: &[SensorPair],
-        unmatched: UnmatchedImages,
-        merge_error_factor: f64,
-        comparison: &HeldOutComparison,
-    ) -> Result<bool, Error> {
-        let mut is_flexible = false;
-        loop {
-            let (translation, rotation) = constrained.sigmas;
-            let looser = (translation, (SIGMA_STEP * rotation).min(SIGMA_CEILING.1));
-            if looser == constrained.sigmas {
-                break;
-            }
-            let (loose, _) = self.constrain_softly(
-                model,
-                sensor_pairs,
-                looser,
-                unmatched,
-                merge_error_factor,
-                comparison,
-            )?;
-            if !Self::is_costly(constrained, &loose.model, comparison) {
-                break;
-            }
-            is_flexible = true;
-            *constrained = loose;
-        }
-        Ok(is_flexible)
     }
 
     /// Adjusts a model with a soft constraint. Also returns the tolerance on its held-out error.
@@ -296,6 +256,42 @@ impl Context<'_> {
         }
         Ok(())
     }
+}
+
+/// Whether a constraint increases the error of the held-out tracks significantly, or leaves
+/// rotations that are too large for it.
+fn is_costly(
+    constrained: &ConstrainedModel,
+    than: &Reconstruction,
+    comparison: &HeldOutComparison,
+) -> bool {
+    !constrained.residuals_consistent()[1]
+        || comparison.is_significantly_worse(&constrained.model, than)
+}
+
+/// Multiplies the standard deviation of the rotation alone, up to `loosest`, as long as the smaller
+/// one is costly. Returns whether it was: the mount is flexible.
+fn loosen_rotation(
+    constrained: &mut ConstrainedModel,
+    loosest: f64,
+    comparison: &HeldOutComparison,
+    mut constrain: impl FnMut((f64, f64)) -> Result<(ConstrainedModel, f64), Error>,
+) -> Result<bool, Error> {
+    let mut is_flexible = false;
+    loop {
+        let (translation, rotation) = constrained.sigmas;
+        let looser = (translation, (SIGMA_STEP * rotation).min(loosest));
+        if looser == constrained.sigmas {
+            break;
+        }
+        let (loose, _) = constrain(looser)?;
+        if !is_costly(constrained, &loose.model, comparison) {
+            break;
+        }
+        is_flexible = true;
+        *constrained = loose;
+    }
+    Ok(is_flexible)
 }
 
 /// Sets the clocks to those of an adjusted model.
