@@ -125,8 +125,8 @@ impl Context<'_> {
             found.1.clamp(SIGMA_FLOOR.1, SIGMA_CEILING.1),
         );
         let mut selection = SigmaSelection::default();
-        // The spread of free poses is more than the mount turns, but neighbouring frames turn alike:
-        // a step more.
+        // The spread of free poses is more than the mount turns, but neighbouring frames turn
+        // alike: one step more.
         let loosest = (SIGMA_STEP * sigmas.1).min(SIGMA_CEILING.1);
         let mut is_flexible = false;
         // The model with the least error of the held-out tracks.
