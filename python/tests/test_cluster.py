@@ -1,9 +1,12 @@
-"""Reconstruction on Ray: two nodes of one processor each on this machine."""
+"""Reconstruction on Ray: nodes of one processor each on this machine."""
 
 import contextlib
 import logging
 import os
+import pathlib
 import sqlite3
+import sys
+import threading
 
 import pytest
 import tiepoint
@@ -17,6 +20,8 @@ except ImportError:
 from tiepoint.cluster import reconstruct
 
 SHARDS = 3
+# Seconds between two looks at the processes: far less than a task takes.
+POLL_S = 0.02
 # In two sub-maps of sixty images.
 OPTIONS = {"pairs": "sequential:3", "rig": "off", "submaps": 50}
 TABLES = ["cameras", "images", "keypoints", "descriptors", "matches", "two_view_geometries"]
@@ -73,8 +78,9 @@ def one_node(store):
 
 @pytest.fixture(scope="module")
 def nodes():
-    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1})
-    cluster.add_node(num_cpus=1)
+    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 0})
+    for _ in range(2):
+        cluster.add_node(num_cpus=1)
     ray.init(address=cluster.address, log_to_driver=False)
     yield cluster
     ray.shutdown()
@@ -113,21 +119,40 @@ def test_photos_and_workspace_in_s3(photos, alone, store, one_node, tmp_path):
         reconstruct("s3://bucket/absent", "s3://bucket/ws2", shards=1)
 
 
+def running(nodes, task):
+    """The worker node that runs a task; None if none does. Ray names processes by their task."""
+    raylets = {node.all_processes["raylet"][0].process.pid: node for node in nodes.worker_nodes}
+    for process in pathlib.Path("/proc").glob("[0-9]*"):
+        with contextlib.suppress(OSError):
+            if (process / "cmdline").read_text().startswith(f"ray::{task}"):
+                parent = int((process / "stat").read_text().rpartition(")")[2].split()[1])
+                if parent in raylets:
+                    return raylets[parent]
+    return None
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="processes are found in /proc")
 def test_a_lost_node_changes_nothing(photos, alone, nodes, tmp_path):
-    """It is lost in matching, and another one in the sub-maps."""
-    lost = set()
+    """One is lost while it matches, and another one while it maps a part."""
+    lost, has_ended = [], threading.Event()
 
-    def lose(event):
-        stage = event.get("stage")
-        if event["event"] == "nodes" and stage not in lost and event["done"] > 0:
-            is_sub_map = stage == "map" and event["nodes"] == 1 and "match" in lost
-            if stage == "match" or is_sub_map:
-                lost.add(stage)
-                nodes.remove_node(next(iter(nodes.worker_nodes)), allow_graceful=False)
-                nodes.add_node(num_cpus=1)
+    def lose():
+        for task in ("match shard", "sub-map"):
+            while (node := running(nodes, task)) is None:
+                if has_ended.wait(POLL_S):
+                    return
+            nodes.remove_node(node, allow_graceful=False)
+            lost.append(task)
+            nodes.add_node(num_cpus=1)
 
-    report = reconstruct(photos, tmp_path / "ws", shards=SHARDS, progress=lose, **OPTIONS)
-    assert lost == {"match", "map"}
+    killer = threading.Thread(target=lose)
+    killer.start()
+    try:
+        report = reconstruct(photos, tmp_path / "ws", shards=SHARDS, progress=False, **OPTIONS)
+    finally:
+        has_ended.set()
+        killer.join()
+    assert lost == ["match shard", "sub-map"]
     check(report, alone, tmp_path / "ws")
     again = reconstruct(photos, tmp_path / "ws", shards=SHARDS, progress=False, **OPTIONS)
     assert all(task["is_kept"] for task in again["tasks"])

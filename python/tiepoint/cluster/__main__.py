@@ -1,6 +1,7 @@
 """`python -m tiepoint.cluster INPUT... -o OUTPUT`: `reconstruct` as a command."""
 
 import argparse
+import contextlib
 import inspect
 import json
 import sys
@@ -44,7 +45,9 @@ def main() -> int:
     is_json = arguments.pop("json")
     given = {name: value for name, value in arguments.items() if value not in (None, False)}
     try:
-        report = reconstruct(given.pop("inputs"), given.pop("output"), **given)
+        # Ray prints what happens to nodes.
+        with contextlib.redirect_stdout(sys.stderr):
+            report = reconstruct(given.pop("inputs"), given.pop("output"), **given)
     except (tiepoint.Error, tiepoint.UsageError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2 if isinstance(error, tiepoint.UsageError) else 1
