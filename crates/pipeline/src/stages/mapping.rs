@@ -163,15 +163,13 @@ pub fn map_submap(
     let shard = Shard::all(count).nth(number.get() - 1);
     let shard = shard.ok_or_else(|| Error::NoSubmap { path: path(), number, count })?;
     let first = Shard::all(count).next().filter(|first| *first != shard);
-    let first = match first {
-        Some(first) => {
-            let missing = || Error::MissingFirstSubmap { path: path() };
-            Some(workspace.state_of(first, &recipe)?.ok_or_else(missing)?)
-        }
-        None => None,
-    };
     let name = |id| input.scene.image(id).name.as_str();
+    let workspace = &*workspace;
     workspace.run_shard(stage, (shard, &recipe), redo, watch, |tile, watch| {
+        // Only now: the tiles of a complete stage are gone.
+        let missing = || Error::MissingFirstSubmap { path: path() };
+        let of_first = |first| workspace.state_of(first, &recipe)?.ok_or_else(missing);
+        let first = first.map(of_first).transpose()?;
         let total = parts.images(number.get() - 1);
         emit(watch, &Event::StageBegan { stage, total, done: 0 })?;
         let mut named = |event: &sfm::Event| {
@@ -294,15 +292,19 @@ impl<'a> MapRequest<'a> {
         input: &MapInput,
         recipe: &Recipe,
     ) -> Result<Vec<Vec<u8>>, Error> {
-        let MapOptions { merges_submaps, max_memory_bytes, .. } = *self.given;
+        let merges_submaps = self.given.merges_submaps;
         let Some(parts) = self.parts(input) else {
             let path = run.workspace.root().to_owned();
             return if merges_submaps { Err(Error::NoSubmaps { path }) } else { Ok(Vec::new()) };
         };
-        if merges_submaps {
-            run.workspace.require_tiles(Stage::Map, parts.count(), recipe)?;
+        if run.is_redone {
+            run.workspace.remove_own_tiles(Stage::Map)?;
         }
-        parts.states(run.workspace, recipe, max_memory_bytes, run.watch)
+        let found = parts.found(run.workspace, recipe)?;
+        if merges_submaps {
+            run.workspace.require_all(Stage::Map, &found)?;
+        }
+        parts.states(found, run.workspace, recipe, self.given.max_memory_bytes, run.watch)
     }
 
     fn take_texts(&mut self) -> Vec<(&'static str, String)> {
