@@ -16,7 +16,7 @@ pub(crate) enum Reader {
 }
 
 /// Options of the libraries, and their flags.
-const OPTIONS: [(&str, &str); 37] = [
+const OPTIONS: [(&str, &str); 38] = [
     ("dense.depth_pngs", "--depth-pngs"),
     ("dense.max_image_size", "--max-size"),
     ("dense.normal_maps", "--normal-maps"),
@@ -35,6 +35,7 @@ const OPTIONS: [(&str, &str); 37] = [
     ("features.timestamps", "--timestamps"),
     ("mapper.baseline", "--baseline"),
     ("mapper.calibration_sigma", "--calibration-sigma"),
+    ("mapper.control_points", "--control-points"),
     ("mapper.fix_existing_frames", "--fix-existing-frames"),
     ("mapper.input_model", "--input-model"),
     ("mapper.position_priors", "--position-priors"),
