@@ -30,6 +30,8 @@ PORT = 6379
 # Without it Ray asks for the token of a file in the home of its user.
 ENVIRONMENT = {"RAY_USAGE_STATS_ENABLED": "0", "RAY_AUTH_MODE": "token"}
 ENVIRONMENT["RAY_AUTH_TOKEN"] = secrets.token_hex(32)
+# Each further one waits a minute.
+ENVIRONMENT["RAY_task_oom_retries"] = "1"
 
 
 def sh(*words, **options):
@@ -78,7 +80,6 @@ def start(node, memory_threshold=None):
     environment = {**os.environ, **ENVIRONMENT}
     if memory_threshold is not None:
         environment["RAY_memory_usage_threshold"] = str(memory_threshold)
-        environment["RAY_task_oom_retries"] = "1"
     ray = str(Path(sys.executable).parent / "ray")
     words = [ray, "start", *place, f"--node-ip-address={NODES[node]}", "--num-cpus=1"]
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}

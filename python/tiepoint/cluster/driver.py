@@ -5,6 +5,7 @@ import inspect
 import json
 import logging
 import os
+import re
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -30,6 +31,8 @@ Path = Union[str, "os.PathLike[str]"]
 SHARDS = 32
 # Seconds between two looks at the board.
 INTERVAL_S = 0.5
+# Seconds for an answer of the board: without one, the progress stands still.
+BOARD_S = 5.0
 # What tasks give themselves, and what is no work for shards.
 NOT_OPTIONS = {"inputs", "output", "workspace", "shard", "submap", "merge", "redo", "threads"}
 NOT_OPTIONS |= {"progress", "database", "every"}
@@ -120,6 +123,11 @@ def _connected(address: Optional[str], cpus: int) -> Iterator[int]:
     if is_ours:
         # A library tells nobody what it does.
         os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+        # Ray's own number is infinity: a task that is too large would never end. This one is that
+        # of its retries after other deaths. Each waits longer than the last one.
+        os.environ.setdefault("RAY_task_oom_retries", "3")
+        # By itself, Ray would also look for a cluster that ran on this machine once.
+        address = address or os.environ.get("RAY_ADDRESS") or "local"
         try:
             ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR)
         except (ConnectionError, ValueError, RuntimeError) as error:
@@ -161,7 +169,8 @@ class _Job:
         # Where the driver is: if this node is lost, so is the job.
         here = ray.get_runtime_context().get_node_id()
         place = NodeAffinitySchedulingStrategy(here, soft=False)
-        self.board: Any = ray.remote(num_cpus=0)(Board).options(scheduling_strategy=place).remote()
+        board = ray.remote(num_cpus=0, max_restarts=-1)(Board)
+        self.board: Any = board.options(scheduling_strategy=place).remote()
 
     @contextlib.contextmanager
     def stage(self, stage: str) -> Iterator[None]:
@@ -224,6 +233,9 @@ class _Job:
         began = self.state().get(task.key(), {})
         where = f"{task.key()} on node {began['node']}" if began else task.key()
         if isinstance(error, OutOfMemoryError):
+            found = re.search(r"IP: ([^,]+), ID: (\w{6})\w*\) was ([^(]+) \(", str(error))
+            if found is not None:
+                where = f"{task.key()} on node {found[1]} ({found[2]}: {found[3]})"
             return (
                 f"{where} ran out of memory: give more `cpus`, so that fewer tasks share a node, "
                 "or nodes with more memory; a further call goes on from the completed tasks"
@@ -238,7 +250,9 @@ class _Job:
         return f"{where} failed: {text.splitlines()[0]}"
 
     def state(self) -> dict[str, dict[str, Any]]:
-        state: dict[str, dict[str, Any]] = ray.get(self.board.state.remote())
+        state: dict[str, dict[str, Any]] = {}
+        with contextlib.suppress(RayError):
+            state = ray.get(self.board.state.remote(), timeout=BOARD_S)
         return state
 
     def tell_board(self, stage: str, tasks: list[Task]) -> None:

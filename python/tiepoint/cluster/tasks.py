@@ -69,7 +69,8 @@ class Task:
 
 
 class Board:
-    """How far each task is: its node, its steps and how often it began."""
+    """How far each task is: its node, its steps and how often it began. Where memory runs out, it
+    may be lost, too, and begins again."""
 
     def __init__(self) -> None:
         self.tasks: dict[str, dict[str, Any]] = {}
@@ -79,7 +80,8 @@ class Board:
         self.tasks[key] = {"node": node, "done": 0, "total": 0, "tries": tries}
 
     def step(self, key: str, done: int, total: int) -> None:
-        self.tasks[key].update(done=done, total=total)
+        if key in self.tasks:
+            self.tasks[key].update(done=done, total=total)
 
     def state(self) -> dict[str, dict[str, Any]]:
         return self.tasks
@@ -124,7 +126,7 @@ def work(task: Task, board: Any) -> Work:
     address = ray.util.get_node_ip_address()  # type: ignore[no-untyped-call]
     # Nodes of one machine have one address.
     node = f"{address} ({ray.get_runtime_context().get_node_id()[:6]})"
-    ray.get(board.begin.remote(task.key(), node))
+    board.begin.remote(task.key(), node)
     watch = Watch(task.key(), board)
     error: Optional[Exception] = None
     report: Optional[dict[str, Any]] = None
