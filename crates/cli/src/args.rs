@@ -535,14 +535,14 @@ pub(crate) struct Mapping {
         value_parser = position_priors
     )]
     pub(crate) position_priors: PositionPriors,
-    /// Surveyed points that are marked in photos: gcp_list.txt of OpenDroneMap, or CSV.
+    /// Surveyed points with marks in photos: gcp_list.txt or CSV.
     ///
     /// The models are brought into their frame and adjusted together with them; positions of the
     /// photos are then not used. A point or mark that the others contradict is named and not used.
-    /// Points whose names begin with CHK- are check points: their errors are reported only. A CSV
-    /// file has a header with the columns point, lat,lon,alt (WGS 84) or x,y,z (metres, z up),
-    /// image, px and py, and perhaps sigma or sigma_h,sigma_v (metres; 0.01 by default) and
-    /// sigma_px (of the marks; 3 by default).
+    /// Points whose names begin with CHK- are check points: their errors are reported only.
+    /// gcp_list.txt is that of OpenDroneMap. A CSV file has a header with the columns point,
+    /// lat,lon,alt (WGS 84) or x,y,z (metres, z up), image, px and py, and perhaps sigma or
+    /// sigma_h,sigma_v (metres; 0.01 by default) and sigma_px (of the marks; 3 by default).
     #[arg(
         help_heading = "Input",
         long,

@@ -58,7 +58,8 @@ const OPTIONS: [(&str, &str); 38] = [
 ];
 
 /// Stages and tools: their commands, and the functions of the Python package.
-const COMMANDS: [(&str, &str, &str); 6] = [
+const COMMANDS: [(&str, &str, &str); 7] = [
+    ("model.align", "`tiepoint model align`", "model_align"),
     ("model.info", "`tiepoint model info`", "model_info"),
     ("model.undistort", "`tiepoint undistort`", "undistort_images"),
     ("stage.dense", "`tiepoint dense`", "dense"),
