@@ -6,8 +6,9 @@
 Needs Linux with two processors, root, iproute2, and a Python with ray and the package (pip install
 './python[ray]'). Renders a drive of two cameras and reconstructs it by one process with one thread,
 by one node, by two, by two of which one is killed while it matches (every process of its namespace
-gets SIGKILL), and by two of which one is killed while it maps a part. The rows of the database and the models
-must be those of the one process. Then a node whose memory is too small, for its sentence."""
+gets SIGKILL), and by two of which one is killed while it maps a part. The rows of the database and
+the models must be those of the one process. Then a node whose memory is too small, for its
+sentence."""
 
 import argparse
 import contextlib
