@@ -239,7 +239,7 @@ const LONG: &[(&str, usize, &str)] = &[
     ),
     ("crates/synth/src/world/building.rs: house", 118, "one random stream gives all of a house"),
     ("crates/synth/src/world/material.rs: face", 86, "an arm for each material"),
-    ("fuzz/src/seeds.rs: main", 155, "a list of files"),
+    ("fuzz/src/seeds.rs: main", 142, "a list of files"),
 ];
 const MOST_LONG: usize = 12;
 /// Functions that are longer for no good reason. The numbers may only fall, and none is added.

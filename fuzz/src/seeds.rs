@@ -187,9 +187,12 @@ fn main() -> Outcome {
     // Small pages leave fewer zeros to change.
     rusqlite::Connection::open(&path)?.execute_batch("PRAGMA page_size = 512; VACUUM;")?;
     put("database", "database", &read("database.db")?);
+    tiles(&features, pair, &matches, view)
+}
 
-    // Tiles, without the hash behind them, which the target writes.
-    let folder = Folder::open(&dir)?;
+/// Tiles, without the hash behind them, which the target writes.
+fn tiles(features: &Features, pair: ImagePair, matches: &[Match], view: TwoView) -> Outcome {
+    let folder = Folder::open(&folder())?;
     let tile = |name: &str, fill: &dyn Fn(&mut TileWriter) -> tiepoint_io::Result<()>| -> Outcome {
         let mut tile = TileWriter::create(&folder, name, b"{}")?;
         fill(&mut tile)?;
@@ -200,8 +203,7 @@ fn main() -> Outcome {
         put("tile", name, &content);
         Ok(())
     };
-    tile("features", &|tile| tile.write_features(ImageId(1), &features))?;
+    tile("features", &|tile| tile.write_features(ImageId(1), features))?;
     let view = TwoView { cam2_from_cam1: Some(Rigid3::identity()), ..view };
-    tile("pairs", &|tile| tile.write_pair(pair, &matches, &view))?;
-    Ok(())
+    tile("pairs", &|tile| tile.write_pair(pair, matches, &view))
 }
