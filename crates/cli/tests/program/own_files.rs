@@ -236,7 +236,7 @@ fn foreign_results_are_kept_and_own_ones_replaced() {
 /// The options that name a file or folder to write; all other paths are read. A new option belongs
 /// to one of the two lists, and one that names a file needs a line in [`FILES`].
 const WRITTEN: [&str; 2] = ["output", "save-transform"];
-const READ: [&str; 18] = [
+const READ: [&str; 19] = [
     "baseline",
     "by",
     "calibration",
@@ -249,6 +249,7 @@ const READ: [&str; 18] = [
     "masks",
     "model",
     "models",
+    "points",
     "positions",
     "reference",
     "rig-calibration",
