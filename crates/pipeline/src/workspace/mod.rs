@@ -1,6 +1,7 @@
 //! The workspace: a folder with a COLMAP project and a few files of this program.
 
 pub(crate) mod database_scene;
+pub(crate) mod dense_names;
 pub(crate) mod file_marks;
 pub(crate) mod file_names;
 pub(crate) mod folder;
@@ -23,8 +24,9 @@ pub(crate) mod verdict;
 pub(crate) mod warning;
 
 pub use database_scene::read_scene;
+pub use dense_names::{DenseNames, MapKind, depth_map_path};
 pub use file_marks::PLY_MARK;
-pub use file_names::{RIG, depth_map_path};
+pub use file_names::RIG;
 pub use folder::{REPORT, Workspace, refuse_workspace};
 pub use located_model::{LocatedModel, model_folder};
 pub use model_output::{model_files, model_names, stage_model, write_model};
