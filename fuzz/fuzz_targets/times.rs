@@ -33,6 +33,8 @@ fuzz_target!(|data: &[u8]| {
                 .iter()
                 .all(|point| { point.place.validate().is_ok() && !point.marks.is_empty() })
         );
+        let sigmas = points.iter().filter_map(|point| point.sigmas_m).flatten();
+        assert!(sigmas.chain(points.iter().filter_map(|p| p.mark_sigma_px)).all(|s| s > 0.0));
     }
     if let Ok(transform) = similarity::read(&file("transform.txt", data)) {
         let path = folder().join("transform.txt");

@@ -1,15 +1,19 @@
 //! Writes the first inputs of every target into `corpus/`: small files that are right, from which
 //! the fuzzer goes on.
 
+use std::io::Read;
 use std::path::Path;
 
 use tiepoint_fuzz::{DIVIDER, SIDECAR, TIMES, folder, write, write_model};
 use tiepoint_input::Rgb;
 use tiepoint_io::bal::Bal;
 use tiepoint_io::colmap::{self, Format};
-use tiepoint_io::database::{Database, StageRow};
+use tiepoint_io::database::{Database, StageRow, TileWriter};
 use tiepoint_io::features::{Features, Keypoint};
+use tiepoint_io::scene::geometry::Rigid3;
 use tiepoint_io::scene::{ImageId, ImagePair, Match, TwoView, TwoViewKind};
+use tiepoint_io::store::disk::Folder;
+use tiepoint_io::store::open_hashed;
 use tiepoint_io::trajectory::{self, TimedPose};
 use tiepoint_io::{las, ply};
 
@@ -183,5 +187,23 @@ fn main() -> Outcome {
     // Small pages leave fewer zeros to change.
     rusqlite::Connection::open(&path)?.execute_batch("PRAGMA page_size = 512; VACUUM;")?;
     put("database", "database", &read("database.db")?);
-    Ok(())
+    tiles(&features, pair, &matches, view)
+}
+
+/// Tiles, without the hash behind them, which the target writes.
+fn tiles(features: &Features, pair: ImagePair, matches: &[Match], view: TwoView) -> Outcome {
+    let folder = Folder::open(&folder())?;
+    let tile = |name: &str, fill: &dyn Fn(&mut TileWriter) -> tiepoint_io::Result<()>| -> Outcome {
+        let mut tile = TileWriter::create(&folder, name, b"{}")?;
+        fill(&mut tile)?;
+        tile.finish()?;
+        let (file, length) = open_hashed(&folder, name)?.ok_or("a tile")?;
+        let mut content = Vec::new();
+        file.take(length).read_to_end(&mut content)?;
+        put("tile", name, &content);
+        Ok(())
+    };
+    tile("features", &|tile| tile.write_features(ImageId(1), features))?;
+    let view = TwoView { cam2_from_cam1: Some(Rigid3::identity()), ..view };
+    tile("pairs", &|tile| tile.write_pair(pair, matches, &view))
 }

@@ -251,6 +251,7 @@ def reconstruct(
     calibration_sigma: Optional[Value] = None,
     baseline: Optional[Value] = None,
     position_priors: Optional[Value] = None,
+    control_points: Optional[Value] = None,
     input_model: Optional[Value] = None,
     fix_existing_frames: bool = False,
     rolling_shutter: Optional[Value] = None,
@@ -301,6 +302,7 @@ def map_images(
     calibration_sigma: Optional[Value] = None,
     baseline: Optional[Value] = None,
     position_priors: Optional[Value] = None,
+    control_points: Optional[Value] = None,
     input_model: Optional[Value] = None,
     fix_existing_frames: bool = False,
     rolling_shutter: Optional[Value] = None,
@@ -345,6 +347,7 @@ def adjust(
     output: Optional[Value] = None,
     overwrite: bool = False,
     fix_intrinsics: bool = False,
+    control_points: Optional[Value] = None,
     threads: Optional[int] = None,
     progress: Progress = None,
 ) -> dict[str, Any]: ...
@@ -362,6 +365,13 @@ def evaluate_cloud(
     *,
     align: Optional[Value] = None,
     truth: Optional[Value] = None,
+    threads: Optional[int] = None,
+    progress: Progress = None,
+) -> dict[str, Any]: ...
+def evaluate_points(
+    model: Value,
+    points: Value,
+    *,
     threads: Optional[int] = None,
     progress: Progress = None,
 ) -> dict[str, Any]: ...

@@ -4,6 +4,8 @@ import contextlib
 import json
 import sys
 import time
+from collections.abc import Callable, Iterator
+from typing import Any, Optional, TextIO, Union
 
 WIDTH = 30
 # Seconds between two drawings.
@@ -19,7 +21,7 @@ LINES = {
 }
 
 
-def is_shown():
+def is_shown() -> bool:
     """Whether there is a terminal or a notebook."""
     if "ipykernel" in sys.modules:
         return True
@@ -27,7 +29,9 @@ def is_shown():
 
 
 @contextlib.contextmanager
-def default_progress(progress):
+def default_progress(
+    progress: Union[None, bool, Callable[[dict[str, Any]], object]],
+) -> Iterator[Optional[Callable[[str], object]]]:
     """The function that gets the events as JSON, or None."""
     if callable(progress):
         yield lambda event: progress(json.loads(event))
@@ -44,12 +48,13 @@ def default_progress(progress):
 class Bar:
     """A line that is drawn again and again: stage, bar, steps and time."""
 
-    def __init__(self, file):
-        self.file, self.stage, self.total, self.done = file, None, 0, 0
+    def __init__(self, file: TextIO) -> None:
+        self.file, self.total, self.done = file, 0, 0
+        self.stage: Optional[str] = None
         self.start = self.drawn_at = time.monotonic()
         self.length = 0
 
-    def event(self, text):
+    def event(self, text: str) -> None:
         event = json.loads(text)
         kind = event["event"]
         if kind in LINES:
@@ -61,7 +66,7 @@ class Bar:
             self.draw()
         elif kind in STEPS:
             self.done += 1
-        elif kind in ("image_registered", "rendering"):
+        elif kind in ("image_registered", "rendering", "nodes"):
             self.done = event.get("registered", event.get("done"))
             self.total = event.get("total", self.total)
             self.stage = self.stage or "render"
@@ -72,7 +77,7 @@ class Bar:
         if self.stage and time.monotonic() - self.drawn_at >= INTERVAL:
             self.draw()
 
-    def draw(self):
+    def draw(self) -> None:
         share = min(self.done / self.total, 1) if self.total else 0
         full = round(share * WIDTH)
         bar = "█" * full + "░" * (WIDTH - full)
@@ -83,11 +88,11 @@ class Bar:
         self.file.flush()
         self.length, self.drawn_at = len(line), time.monotonic()
 
-    def clear(self):
+    def clear(self) -> None:
         self.file.write("\r" + " " * self.length + "\r")
         self.length = 0
 
-    def close(self):
+    def close(self) -> None:
         if self.length:
             self.file.write("\n")
             self.file.flush()

@@ -32,7 +32,7 @@ pub use noise::{FitNoise, keypoint_sigma_px, relative_noise};
 pub use options::{AdjustOptions, FocalPrior, RefineIntrinsics, Scope};
 pub use problem::build_problem;
 pub use solve::{adjust, keep_going};
-pub use term::{Shifted, Term, TermContext, TermFrame};
+pub use term::{Mark, Shifted, Term, TermContext, TermFrame};
 pub use tiepoint_ba as ba;
 pub use tiepoint_geometry as geometry;
 pub use tiepoint_scene as scene;

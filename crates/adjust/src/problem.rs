@@ -8,8 +8,8 @@
 use std::collections::BTreeSet;
 
 use tiepoint_ba::factors::{Reprojection, RigReprojection, ShiftedReprojection};
-use tiepoint_ba::{EliminationOrder, Key, Problem, SpanningTree};
-use tiepoint_geometry::nalgebra::{Vector1, Vector3};
+use tiepoint_ba::{EliminationOrder, FactorKey, Key, Problem, SpanningTree};
+use tiepoint_geometry::nalgebra::{Vector1, Vector2, Vector3};
 use tiepoint_geometry::{CameraModel, Loss, Rigid3, with_camera_model};
 use tiepoint_scene::{CameraId, ImageId, IntrinsicsPrior, Keypoint, Reconstruction};
 
@@ -173,6 +173,30 @@ enum Pose {
     Composed(ComposedPose),
 }
 
+impl Pose {
+    /// Adds the reprojection error of a point. `observed`: the pixel and its standard deviation.
+    fn observe<M: CameraModel>(
+        self,
+        problem: &mut Problem,
+        params: Key<M::Params>,
+        point: Key<Vector3<f64>>,
+        observed: (Vector2<f64>, f64),
+        loss: Loss,
+    ) -> Result<FactorKey, Error> {
+        let (pixel, sigma_px) = observed;
+        Ok(match self {
+            Self::Variable(pose) => {
+                let factor = Reprojection::<M>::new(pixel, sigma_px);
+                problem.add((params, pose, point), factor, loss)?
+            }
+            Self::Composed(ComposedPose { cam_from_rig, rig_from_world }) => {
+                let factor = RigReprojection::<M>::new(pixel, sigma_px);
+                problem.add((params, cam_from_rig, rig_from_world, point), factor, loss)?
+            }
+        })
+    }
+}
+
 /// Adds the intrinsics of a camera and the observations of its images. Returns the key of the
 /// intrinsics; `None` for a camera without images in the problem.
 fn add_camera(
@@ -223,6 +247,10 @@ fn add_camera(
                 shifts,
             };
             observations_of_image.add::<M>(problem, key, options.loss, &mut factors)?;
+            for mark in terms.iter().flat_map(|term| term.marks_of(*image)) {
+                let observed = (mark.pixel, mark.sigma_px);
+                pose.observe::<M>(problem, key, mark.point, observed, mark.loss)?;
+            }
         }
         let read = move |problem: &Problem| problem.get(key).as_slice().to_vec();
         variables.cameras.push((camera, key.into(), Box::new(read)));
@@ -278,14 +306,7 @@ impl ImageObservations<'_> {
                     let factor = ShiftedReprojection { unshifted, shift };
                     problem.add((params, pose, shift_scale, point), factor, loss)?
                 }
-                (Pose::Variable(pose), None) => {
-                    let factor = Reprojection::<M>::new(pixel, sigma_px);
-                    problem.add((params, pose, point), factor, loss)?
-                }
-                (Pose::Composed(ComposedPose { cam_from_rig, rig_from_world }), _) => {
-                    let factor = RigReprojection::<M>::new(pixel, sigma_px);
-                    problem.add((params, cam_from_rig, rig_from_world, point), factor, loss)?
-                }
+                (pose, _) => pose.observe::<M>(problem, params, point, (pixel, sigma_px), loss)?,
             };
             factors.push(ObservationFactor { factor, image: self.image, keypoint: index });
         }

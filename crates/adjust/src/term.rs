@@ -1,7 +1,7 @@
 use tiepoint_ba::{Key, Problem};
-use tiepoint_geometry::Sim3;
 use tiepoint_geometry::nalgebra::{Matrix3, Vector1, Vector2, Vector3};
 use tiepoint_geometry::solvers::umeyama;
+use tiepoint_geometry::{Loss, Sim3};
 use tiepoint_scene::{CameraId, ImageId, Reconstruction};
 
 use crate::Error;
@@ -71,6 +71,13 @@ pub trait Term {
         None
     }
 
+    /// Returns the observations in an image of landmarks that the term added, such as marks of
+    /// control points by hand.
+    fn marks_of(&self, image: ImageId) -> &[Mark] {
+        let _ = image;
+        &[]
+    }
+
     /// Reads its variables from the solved problem.
     fn read(&mut self, problem: &Problem) {
         let _ = problem;
@@ -128,4 +135,17 @@ pub struct Shifted {
     pub pixel: Vector2<f64>,
     /// Shift in pixels per unit of the variable.
     pub shift: Vector2<f64>,
+}
+
+/// An observation of a landmark of a term.
+#[derive(Clone, Copy, Debug)]
+pub struct Mark {
+    /// The landmark.
+    pub point: Key<Vector3<f64>>,
+    /// Where it is in the image, in pixels.
+    pub pixel: Vector2<f64>,
+    /// Standard deviation of each coordinate in pixels, divided by [`TermContext::noise`].
+    pub sigma_px: f64,
+    /// The loss of the reprojection error.
+    pub loss: Loss,
 }

@@ -535,6 +535,21 @@ pub(crate) struct Mapping {
         value_parser = position_priors
     )]
     pub(crate) position_priors: PositionPriors,
+    /// Surveyed points with marks in photos: gcp_list.txt or CSV.
+    ///
+    /// The models are brought into their frame and adjusted together with them; positions of the
+    /// photos are then not used. A point or mark that the others contradict is named and not used.
+    /// Points whose names begin with CHK- are check points: their errors are reported only.
+    /// gcp_list.txt is that of OpenDroneMap. A CSV file has a header with the columns point,
+    /// lat,lon,alt (WGS 84) or x,y,z (metres, z up), image, px and py, and perhaps sigma or
+    /// sigma_h,sigma_v (metres; 0.01 by default) and sigma_px (of the marks; 3 by default).
+    #[arg(
+        help_heading = "Input",
+        long,
+        value_name = "FILE",
+        conflicts_with_all = ["baseline", "input_model"]
+    )]
+    pub(crate) control_points: Option<PathBuf>,
     /// Goes on from a model, and keeps its frame and scale.
     ///
     /// A folder with a COLMAP model, or a workspace. Its poses, intrinsics and points are initial
@@ -603,6 +618,12 @@ pub(crate) struct Adjust {
     /// with --refine none stay fixed.
     #[arg(long)]
     pub(crate) fix_intrinsics: bool,
+    /// Surveyed points that are marked in images, as of `reconstruct`.
+    ///
+    /// The model is brought into their frame and adjusted together with them. A point or mark that
+    /// the others contradict is named and not used.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) control_points: Option<PathBuf>,
 }
 
 #[derive(Debug, Subcommand)]
@@ -615,6 +636,18 @@ pub(crate) enum Evaluate {
     ///
     /// To the nearest points of the reference, after alignment.
     Cloud(EvaluateCloud),
+    /// Surveyed points: errors of the model, which is in their frame.
+    ///
+    /// Each point is triangulated from its marks. The model is not changed.
+    Points(EvaluatePoints),
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct EvaluatePoints {
+    /// Folder with a COLMAP model, or workspace.
+    pub(crate) model: PathBuf,
+    /// Points with coordinates and marks, as --control-points of `reconstruct`.
+    pub(crate) points: PathBuf,
 }
 
 #[derive(Debug, Args)]
@@ -731,7 +764,7 @@ pub(crate) struct AlignModel {
     /// Of image,lat,lon,alt in metres. Images farther away are outliers.
     #[arg(long, value_name = "DISTANCE", value_parser = positive, requires = "positions")]
     pub(crate) max_error: Option<f64>,
-    /// Points with coordinates and marks: OpenDroneMap's gcp_list.txt.
+    /// Points with coordinates and marks, as of `reconstruct`; the model keeps its shape.
     ///
     /// A point that the others contradict is named and not used; names that begin with CHK- are
     /// check points, whose errors are printed only.

@@ -16,7 +16,7 @@ pub(crate) enum Reader {
 }
 
 /// Options of the libraries, and their flags.
-const OPTIONS: [(&str, &str); 37] = [
+const OPTIONS: [(&str, &str); 38] = [
     ("dense.depth_pngs", "--depth-pngs"),
     ("dense.max_image_size", "--max-size"),
     ("dense.normal_maps", "--normal-maps"),
@@ -35,6 +35,7 @@ const OPTIONS: [(&str, &str); 37] = [
     ("features.timestamps", "--timestamps"),
     ("mapper.baseline", "--baseline"),
     ("mapper.calibration_sigma", "--calibration-sigma"),
+    ("mapper.control_points", "--control-points"),
     ("mapper.fix_existing_frames", "--fix-existing-frames"),
     ("mapper.input_model", "--input-model"),
     ("mapper.position_priors", "--position-priors"),
@@ -57,7 +58,8 @@ const OPTIONS: [(&str, &str); 37] = [
 ];
 
 /// Stages and tools: their commands, and the functions of the Python package.
-const COMMANDS: [(&str, &str, &str); 6] = [
+const COMMANDS: [(&str, &str, &str); 7] = [
+    ("model.align", "`tiepoint model align`", "model_align"),
     ("model.info", "`tiepoint model info`", "model_info"),
     ("model.undistort", "`tiepoint undistort`", "undistort_images"),
     ("stage.dense", "`tiepoint dense`", "dense"),

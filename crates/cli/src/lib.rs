@@ -11,6 +11,7 @@ mod hints;
 mod interrupt;
 mod message;
 mod output;
+mod points;
 mod progress;
 mod signals;
 mod summary;

@@ -607,6 +607,16 @@ pub enum Error {
         /// The reason.
         reason: String,
     },
+    /// A model could not be compared with surveyed points.
+    #[error("cannot compare {model} with {reference}: {reason}")]
+    NoComparison {
+        /// The model.
+        model: PathBuf,
+        /// The file of points.
+        reference: PathBuf,
+        /// The reason.
+        reason: String,
+    },
     /// No point of a model is in the box that it is cropped to.
     #[error("no point of {path} is in the box, of {points}: see `model.info` of {path}")]
     EmptyCrop {

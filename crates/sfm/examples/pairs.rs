@@ -5,20 +5,21 @@
 
 #![allow(clippy::print_stdout, reason = "an example shows its result")]
 
+mod feature_drive;
+
 use std::collections::BTreeMap;
 use std::time::Instant;
 
-use tiepoint_eval::{Alignment, Statistics, compare_poses};
-use tiepoint_scene::{CorrespondenceGraph, Reconstruction};
+use tiepoint_scene::CorrespondenceGraph;
 use tiepoint_sfm::matching::{PairSelection, Sequence};
 use tiepoint_sfm::{Mapper, MapperOptions};
-use tiepoint_synth::{Drive, DriveOptions, FeatureOptions, FeatureScene, MatchOptions, RouteKind};
+use tiepoint_synth::{FeatureScene, MatchOptions, RouteKind};
+
+use crate::feature_drive::{ate_m, feature_drive};
 
 /// The paper's drive.
 const RATE_HZ: f64 = 10.0;
 const METRES_PER_FRAME: f64 = 0.9;
-const OBSERVATIONS_AN_IMAGE: usize = 400;
-const NOISE_PX: f64 = 0.5;
 
 fn main() {
     let words: Vec<String> = std::env::args().skip(1).collect();
@@ -29,29 +30,11 @@ fn main() {
     let frames = frames.parse().expect("a number");
     println!("seed           selection   pairs  images     ATE, m    time, s");
     for seed in seeds.split(',').map(|word| word.parse().expect("seeds")) {
-        let scene = drive(route, frames, seed);
+        let scene = feature_drive(route, frames, METRES_PER_FRAME, RATE_HZ, seed);
         for selection in selections {
             map(&scene, selection, seed);
         }
     }
-}
-
-fn drive(route: RouteKind, frames: usize, seed: u64) -> FeatureScene {
-    let length_m = METRES_PER_FRAME * frames as f64;
-    let options =
-        DriveOptions { seed, length_m, rate_hz: RATE_HZ, route, ..DriveOptions::default() };
-    let mut drive = Drive::new(&options).expect("a street");
-    if matches!(route, RouteKind::Open) {
-        drive.keep_first(frames);
-    }
-    let images: usize = drive.cameras().iter().map(|camera| camera.exposures.len()).sum();
-    let features = FeatureOptions {
-        seed,
-        observations: OBSERVATIONS_AN_IMAGE * images,
-        noise_px: NOISE_PX,
-        ..FeatureOptions::default()
-    };
-    FeatureScene::new(&drive, &features).expect("sound options")
 }
 
 fn map(scene: &FeatureScene, selection: &str, seed: u64) {
@@ -76,14 +59,8 @@ fn map(scene: &FeatureScene, selection: &str, seed: u64) {
     let start = Instant::now();
     let models = Mapper::new(&graph, &scene.without_poses()).run(&options).expect("a model");
     let seconds = start.elapsed().as_secs_f64();
-    let poses = |model: &Reconstruction| -> Vec<_> {
-        model.images().map(|(_, image)| image.cam_from_world().copied()).collect()
-    };
     let model = &models[0].reconstruction;
-    let truth: Vec<_> = poses(scene.truth()).into_iter().flatten().collect();
-    let compared = compare_poses(&poses(model), &truth, Alignment::Similarity).expect("a path");
-    let errors: Vec<f64> = compared.centre_errors.into_iter().flatten().collect();
-    let ate_m = Statistics::of(&errors).expect("poses").rmse;
+    let ate_m = ate_m(model, scene.truth());
     let (pairs, images) = (graph.pairs().len(), model.num_registered());
     println!("{seed:4} {selection:>19} {pairs:7} {images:7} {ate_m:10.4} {seconds:10.1}");
 }

@@ -5,12 +5,13 @@
 
 #![allow(clippy::print_stdout, reason = "an example shows its result")]
 
+mod feature_drive;
+
 use std::collections::BTreeSet;
 use std::f64::consts::PI;
 use std::time::Instant;
 
 use rayon::prelude::*;
-use tiepoint_eval::{Alignment, Statistics, compare_poses};
 use tiepoint_scene::{
     Camera, CameraId, CorrespondenceGraph, Image, ImageId, ImagePair, Keypoint, Match,
     Reconstruction, TwoView, TwoViewKind,
@@ -19,11 +20,12 @@ use tiepoint_sfm::geometry::nalgebra::{UnitQuaternion, Vector2, Vector3};
 use tiepoint_sfm::geometry::{CameraModelKind, Intrinsics, Rigid3, Rng};
 use tiepoint_sfm::submaps::cut;
 use tiepoint_sfm::{MappedModel, Mapper, MapperOptions};
-use tiepoint_synth::{Drive, DriveOptions, FeatureOptions, FeatureScene, MatchOptions, RouteKind};
+use tiepoint_synth::{MatchOptions, RouteKind};
+
+use crate::feature_drive::{ate_m, feature_drive};
 
 const RATE_HZ: f64 = 5.0;
 const METRES_PER_FRAME: f64 = 1.2;
-const OBSERVATIONS_AN_IMAGE: usize = 400;
 const NOISE_PX: f64 = 0.5;
 const WINDOW: usize = 6;
 /// The focal lengths begin so much too long, and are refined.
@@ -71,21 +73,7 @@ fn main() {
 type Data = (Reconstruction, Reconstruction, CorrespondenceGraph);
 
 fn drive(route: RouteKind, frames: usize, seed: u64) -> Data {
-    let length_m = METRES_PER_FRAME * frames as f64;
-    let options =
-        DriveOptions { seed, length_m, rate_hz: RATE_HZ, route, ..DriveOptions::default() };
-    let mut drive = Drive::new(&options).expect("a street");
-    if matches!(route, RouteKind::Open) {
-        drive.keep_first(frames);
-    }
-    let images: usize = drive.cameras().iter().map(|camera| camera.exposures.len()).sum();
-    let features = FeatureOptions {
-        seed,
-        observations: OBSERVATIONS_AN_IMAGE * images,
-        noise_px: NOISE_PX,
-        ..FeatureOptions::default()
-    };
-    let scene = FeatureScene::new(&drive, &features).expect("sound options");
+    let scene = feature_drive(route, frames, METRES_PER_FRAME, RATE_HZ, seed);
     let graph = scene.graph(&MatchOptions { window: Some(WINDOW), ..MatchOptions::default() });
     (scene.truth().clone(), scene.without_poses(), graph)
 }
@@ -189,14 +177,8 @@ fn in_parts(
 
 fn show(seed: u64, what: &str, models: &[MappedModel], truth: &Reconstruction, start: Instant) {
     let seconds = start.elapsed().as_secs_f64();
-    let poses = |model: &Reconstruction| -> Vec<_> {
-        model.images().map(|(_, image)| image.cam_from_world().copied()).collect()
-    };
     let model = &models[0].reconstruction;
-    let truth: Vec<_> = poses(truth).into_iter().flatten().collect();
-    let compared = compare_poses(&poses(model), &truth, Alignment::Similarity).expect("a path");
-    let errors: Vec<f64> = compared.centre_errors.into_iter().flatten().collect();
-    let ate_m = Statistics::of(&errors).expect("poses").rmse;
+    let ate_m = ate_m(model, truth);
     let models = models.len();
     println!(
         "{seed:4} {what:>6} of {models} {:7} {ate_m:10.4} {seconds:10.1}",

@@ -69,19 +69,9 @@ impl Write for HashedFile {
 /// If a part of the name is a link, if there is no such file, if it is no regular file, or it
 /// cannot be read.
 pub fn open_hashed(folder: &Folder, name: &str) -> Result<Option<(File, u64)>> {
+    let Some((mut file, length)) = open_unchecked(folder, name)? else { return Ok(None) };
     let path = folder.join(name);
     let failed = || Error::unreadable(&path);
-    if let Some(path) = folder.find_link(name).map_err(failed())? {
-        return Err(Error::LinkInFolder { path });
-    }
-    match is_file(folder, name).map_err(failed())? {
-        None => return Err(failed()(io::ErrorKind::NotFound.into())),
-        Some(false) => return Err(Error::ForeignFile { path }),
-        Some(true) => {}
-    }
-    let mut file = folder.open_file(name).map_err(failed())?;
-    let length = file.metadata().map_err(failed())?.len();
-    let Some(length) = length.checked_sub(HASH_BYTES as u64) else { return Ok(None) };
     let (mut hash, mut buffer) = (blake3::Hasher::new(), vec![0; BUFFER_BYTES]);
     let mut content = Read::by_ref(&mut file).take(length);
     loop {
@@ -96,6 +86,28 @@ pub fn open_hashed(folder: &Folder, name: &str) -> Result<Option<(File, u64)>> {
     file.read_exact(&mut written).map_err(failed())?;
     file.seek(SeekFrom::Start(0)).map_err(failed())?;
     Ok((hash.finalize() == written).then_some((file, length)))
+}
+
+/// As [`open_hashed`], without reading the content: for a file that was checked before, and for the
+/// begin of one. `None` if it is shorter than a hash.
+///
+/// # Errors
+///
+/// Those of [`open_hashed`].
+pub fn open_unchecked(folder: &Folder, name: &str) -> Result<Option<(File, u64)>> {
+    let path = folder.join(name);
+    let failed = || Error::unreadable(&path);
+    if let Some(path) = folder.find_link(name).map_err(failed())? {
+        return Err(Error::LinkInFolder { path });
+    }
+    match is_file(folder, name).map_err(failed())? {
+        None => return Err(failed()(io::ErrorKind::NotFound.into())),
+        Some(false) => return Err(Error::ForeignFile { path }),
+        Some(true) => {}
+    }
+    let file = folder.open_file(name).map_err(failed())?;
+    let length = file.metadata().map_err(failed())?.len();
+    Ok(length.checked_sub(HASH_BYTES as u64).map(|length| (file, length)))
 }
 
 /// Whether what has a name is a regular file; `None` if nothing has it. A named pipe would block
@@ -128,9 +140,12 @@ mod tests {
             bad[change] ^= 1;
             fs::write(dir.path().join("a"), bad).unwrap();
             assert!(open_hashed(&folder, "a").unwrap().is_none());
+            assert_eq!(open_unchecked(&folder, "a").unwrap().unwrap().1, length);
         }
         fs::write(dir.path().join("a"), &good[..20]).unwrap();
         assert!(open_hashed(&folder, "a").unwrap().is_none());
+        fs::write(dir.path().join("a"), &good[..HASH_BYTES - 1]).unwrap();
+        assert!(open_unchecked(&folder, "a").unwrap().is_none());
         assert!(open_hashed(&folder, "b").is_err());
     }
 
@@ -142,7 +157,7 @@ mod tests {
         std::os::unix::fs::symlink("mine", dir.path().join("a")).unwrap();
         let folder = Folder::open(dir.path()).unwrap();
         assert!(matches!(HashedFile::create(&folder, "a"), Err(Error::LinkInFolder { .. })));
-        assert!(matches!(open_hashed(&folder, "a"), Err(Error::LinkInFolder { .. })));
+        assert!(matches!(open_unchecked(&folder, "a"), Err(Error::LinkInFolder { .. })));
     }
 
     #[cfg(unix)]
@@ -155,7 +170,7 @@ mod tests {
         let folder = Folder::open(dir.path()).unwrap();
         for name in ["folder", "pipe"] {
             assert!(matches!(HashedFile::create(&folder, name), Err(Error::ForeignFile { .. })));
-            assert!(matches!(open_hashed(&folder, name), Err(Error::ForeignFile { .. })));
+            assert!(matches!(open_unchecked(&folder, name), Err(Error::ForeignFile { .. })));
         }
     }
 }

@@ -12,7 +12,7 @@ mod run_state;
 
 pub use atomic::AtomicFile;
 pub use error::{Error, Result};
-pub use hashed_file::{HashedFile, open_hashed};
+pub use hashed_file::{HashedFile, open_hashed, open_unchecked};
 pub use manifest::{MANIFEST, Manifest, is_inside, manifest_files};
 pub use named_file::{Mark, Replace, may_be_replaced, write_file};
 pub use output_folder::OutputFolder;

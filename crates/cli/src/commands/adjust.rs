@@ -7,12 +7,14 @@ use tiepoint_pipeline::models::adjust as adjust_model;
 use crate::args::Adjust;
 use crate::failure::Failure;
 use crate::output::Output;
+use crate::points;
 use crate::progress::Progress;
 
 pub(crate) fn adjust(args: &Adjust, output: &Output) -> Result<(), Failure> {
     let mut progress = Progress::new(output);
     let (to, overwrite) = (args.output.as_deref(), args.overwrite);
-    let report = adjust_model(&args.model, to, overwrite, args.fix_intrinsics, &mut |event| {
+    let (fixed, points) = (args.fix_intrinsics, args.control_points.as_deref());
+    let report = adjust_model(&args.model, to, overwrite, fixed, points, &mut |event| {
         progress.watch(event)
     })?;
     drop(progress);
@@ -36,6 +38,12 @@ pub(crate) fn adjust(args: &Adjust, output: &Output) -> Result<(), Failure> {
             report.iterations,
             report.seconds,
         );
+        if let Some(frame) = &report.frame {
+            let _ = writeln!(text, "frame: {frame}");
+        }
+        if let Some(found) = &report.control_points {
+            text += &points::table(found);
+        }
         text
     })
 }

@@ -1,20 +1,26 @@
-//! `evaluate poses` and `evaluate cloud`.
+//! `evaluate poses`, `evaluate cloud` and `evaluate points`.
 
 use tiepoint_pipeline::Error;
 use tiepoint_pipeline::eval::geometry::Sim3;
 use tiepoint_pipeline::eval::{Alignment, find_alignment};
-use tiepoint_pipeline::evaluation::{evaluate_cloud, evaluate_poses, read_cloud};
+use tiepoint_pipeline::evaluation::{evaluate_cloud, evaluate_points, evaluate_poses, read_cloud};
 
-use crate::args::{EvaluateCloud, EvaluatePoses};
+use crate::args::{EvaluateCloud, EvaluatePoints, EvaluatePoses};
 use crate::failure::Failure;
 use crate::finished_model::open_model;
 use crate::output::Output;
-use crate::summary;
+use crate::{points, summary};
 
 pub(crate) fn poses(args: &EvaluatePoses, output: &Output) -> Result<(), Failure> {
     let model = open_model(&args.model, output)?;
     let evaluation = evaluate_poses(&model, &args.truth, args.images.as_deref())?;
     output.result(&evaluation, || summary::poses(&evaluation))
+}
+
+pub(crate) fn points(args: &EvaluatePoints, output: &Output) -> Result<(), Failure> {
+    let model = open_model(&args.model, output)?;
+    let found = evaluate_points(&model, &args.points)?;
+    output.result(&found, || points::table(&found))
 }
 
 pub(crate) fn cloud(args: &EvaluateCloud, output: &Output) -> Result<(), Failure> {

@@ -31,6 +31,7 @@ pub(crate) fn run(command: Command, output: &Output) -> Result<(), Failure> {
         Command::Adjust(args) => adjust::adjust(&args, output),
         Command::Evaluate(Evaluate::Poses(args)) => evaluate::poses(&args, output),
         Command::Evaluate(Evaluate::Cloud(args)) => evaluate::cloud(&args, output),
+        Command::Evaluate(Evaluate::Points(args)) => evaluate::points(&args, output),
         Command::View(args) => view::view(&args, output),
         Command::Model(command) => model::model(&command, output),
         Command::Export(args) => export::export(&args, output),

@@ -4,14 +4,15 @@ use std::fmt::Write;
 use std::path::PathBuf;
 
 use tiepoint_pipeline::models::{
-    AlignTo, AlignmentInfo, ControlPointInfo, CropTo, ModelChange, ModelInfo, align_model,
-    crop_model, merge_models, model_info, transform_model,
+    AlignTo, AlignmentInfo, CropTo, ModelChange, ModelInfo, align_model, crop_model, merge_models,
+    model_info, transform_model,
 };
 
 use crate::args::{AlignModel, CropModel, MergeModels, ModelCommand};
 use crate::failure::Failure;
 use crate::finished_model::open_model;
 use crate::output::Output;
+use crate::points;
 
 pub(crate) fn model(command: &ModelCommand, output: &Output) -> Result<(), Failure> {
     let change = match command {
@@ -100,18 +101,6 @@ fn describe(info: &ModelInfo) -> String {
     text
 }
 
-fn control_point(point: &ControlPointInfo) -> String {
-    let kind = if point.is_check { "check" } else { "control" };
-    let (name, marks, inliers) = (&point.name, point.marks, point.inlier_marks);
-    let Some([x, y, z]) = point.error_m else {
-        return format!("{kind} point {name}: its {marks} marks do not determine it");
-    };
-    let end = if point.is_wrong { "; the others contradict it, and it is not used" } else { "" };
-    format!(
-        "{kind} point {name}: {inliers} of {marks} marks agree, errors {x:.3} {y:.3} {z:.3} m{end}"
-    )
-}
-
 /// A number with six significant digits: what is written to files has all.
 fn six_digits(value: f64) -> String {
     let digits = 5 - value.abs().max(f64::MIN_POSITIVE).log10().floor() as i32;
@@ -131,7 +120,7 @@ fn describe_change(change: &ModelChange) -> String {
         let _ = writeln!(text, "frame: {frame}");
     }
     for point in &change.control_points {
-        let _ = writeln!(text, "{}", control_point(point));
+        let _ = writeln!(text, "{}", points::line(point));
     }
     for merged in &change.merged {
         let _ = writeln!(

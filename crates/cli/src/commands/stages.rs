@@ -3,7 +3,7 @@
 use tiepoint_pipeline::sfm::MapperOptions;
 use tiepoint_pipeline::stages::{
     DenseOptions, FeatureOptions, InputModel, MapOptions, MatchOptions, OpenedInput,
-    dense as dense_workspace, extract_features, extract_shard, import_features,
+    PositionPriors, dense as dense_workspace, extract_features, extract_shard, import_features,
     map as map_workspace, map_submap, match_images as match_workspace, match_shard, open_input,
     open_shared_input,
 };
@@ -183,6 +183,13 @@ fn map_options(mapping: &Mapping, seed: &Seed) -> Result<MapOptions, Failure> {
             "--refine extrinsics refines those of --rig-calibration: give both".to_owned(),
         ));
     }
+    if mapping.control_points.is_some()
+        && matches!(mapping.position_priors, PositionPriors::File(_))
+    {
+        return Err(Failure::Usage(
+            "--control-points gives the frame: leave out the file of --position-priors".to_owned(),
+        ));
+    }
     Ok(MapOptions {
         mapper: MapperOptions {
             rig: mapping.rig,
@@ -200,6 +207,7 @@ fn map_options(mapping: &Mapping, seed: &Seed) -> Result<MapOptions, Failure> {
         rig_calibration: mapping.rig_calibration.clone(),
         refine_extrinsics,
         position_priors: mapping.position_priors.clone(),
+        control_points: mapping.control_points.clone(),
         submaps: mapping.submaps,
         max_memory_bytes: mapping.max_memory,
         merges_submaps: false,

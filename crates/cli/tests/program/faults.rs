@@ -109,7 +109,9 @@ impl Command {
                 };
                 export(&source, format, &dir.join("out").join(name)).map(drop)
             }
-            Self::Adjust => adjust(&ws, Some(&dir.join("out")), false, false, watch).map(drop),
+            Self::Adjust => {
+                adjust(&ws, Some(&dir.join("out")), false, false, None, watch).map(drop)
+            }
             Self::View => view(&LocatedModel::open(&ws)?, &ws, &str::to_owned).map(drop),
             Self::Dense => {
                 let options = DenseOptions {

@@ -350,6 +350,103 @@ fn alignment_to_control_points_names_the_wrong_one() {
     tiepoint_in(dir, line).failed(1, &["gcp.txt", "line 1", "must be EPSG:4326"]);
 }
 
+/// CSV of seven points of a model, the last one of which is a check point.
+fn control_points_csv(
+    model: &Reconstruction,
+    place: &dyn Fn(usize, Vector3<f64>) -> Vector3<f64>,
+) -> String {
+    let mut text = String::from("point,x,y,z,image,px,py,sigma\n");
+    let seen = model.tracks().filter(|(_, track)| track.observations.len() >= 4);
+    for (k, (_, track)) in seen.step_by(8).take(7).enumerate() {
+        let name = if k == 6 { "CHK-6".to_owned() } else { format!("p{k}") };
+        let [x, y, z] = place(k, track.xyz).into();
+        for observation in &track.observations {
+            let image = model.image(observation.image);
+            let pixel = image.keypoints[observation.keypoint as usize].pixel;
+            text += &format!("{name},{x},{y},{z},{},{},{},0.02\n", image.name, pixel.x, pixel.y);
+        }
+    }
+    text
+}
+
+#[test]
+fn adjustment_with_control_points_names_wrong_points_and_marks() {
+    let dir = tempfile::tempdir().unwrap();
+    let dir = dir.path();
+    let (model, transform) = (scene(), similarity());
+    write(dir, "a", &model);
+    let right = control_points_csv(&model, &|_, xyz| transform * xyz);
+    fs::write(dir.join("gcp.csv"), &right).unwrap();
+    let line = "adjust {}/a --control-points {}/gcp.csv -o {}/b --json";
+    let found = tiepoint_in(dir, line).done().json();
+    let points = found["control_points"]["points"].as_array().unwrap().clone();
+    assert!(points.iter().all(|point| point["is_wrong"] == false), "{found}");
+    // Keypoints and coordinates are exact.
+    let rms_m = |found: &Value, kind: &str| -> f64 {
+        let rms_m = found[kind]["rms_m"].as_array().unwrap();
+        rms_m.iter().map(|value| value.as_f64().unwrap()).fold(0.0, f64::max)
+    };
+    for (kind, count) in [("control", 6), ("check", 1)] {
+        assert_eq!(found["control_points"][kind]["points"], count, "{found}");
+        assert!(rms_m(&found["control_points"], kind) < 1e-5, "{found}");
+    }
+    let mut there = model.clone();
+    there.transform(&transform);
+    assert!(difference(&read(dir, "b"), &there) < 1e-5);
+    // The model is in the frame of the points, and is not changed.
+    let before = fs::read(dir.join("b/images.bin")).unwrap();
+    let evaluated = tiepoint_in(dir, "evaluate points {}/b {}/gcp.csv --json").done().json();
+    assert_eq!(evaluated["points"].as_array().unwrap(), &points);
+    assert_eq!(fs::read(dir.join("b/images.bin")).unwrap(), before);
+    let text = tiepoint_in(dir, "evaluate points {}/b {}/gcp.csv").done().stdout();
+    assert!(text.contains("1 check points: root mean square errors 0.0000"), "{text}");
+
+    const WRONG_M: f64 = 2.0;
+    let off = |k, xyz| transform * xyz + Vector3::x() * if k == 2 { WRONG_M } else { 0.0 };
+    let wrong = control_points_csv(&model, &off);
+    // The first mark of the first point is beside it.
+    let mut lines: Vec<String> = wrong.lines().map(str::to_owned).collect();
+    let mut fields: Vec<String> = lines[1].split(',').map(str::to_owned).collect();
+    fields[5] = (fields[5].parse::<f64>().unwrap() + 50.0).to_string();
+    let image = fields[4].clone();
+    lines[1] = fields.join(",");
+    fs::write(dir.join("gcp.csv"), lines.join("\n")).unwrap();
+    let found = tiepoint_in(dir, line).done().json();
+    let points = found["control_points"]["points"].as_array().unwrap();
+    let wrong: Vec<&Value> = points.iter().filter(|point| point["is_wrong"] == true).collect();
+    assert!(wrong.len() == 1 && wrong[0]["name"] == "p2", "{found}");
+    assert!((wrong[0]["error_m"][0].as_f64().unwrap() + WRONG_M).abs() < 1e-3, "{found}");
+    assert_eq!(points[0]["wrong_marks"], serde_json::json!([image]), "{found}");
+    assert!(difference(&read(dir, "b"), &there) < 1e-5);
+}
+
+#[test]
+fn control_points_that_do_not_fit_a_model_are_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let dir = dir.path();
+    let (model, transform) = (scene(), similarity());
+    write(dir, "a", &model);
+    let adjust = "adjust {}/a --control-points {}/gcp.csv -o {}/b";
+    let evaluate = "evaluate points {}/a {}/gcp.csv";
+    let right = control_points_csv(&model, &|_, xyz| transform * xyz);
+    fs::write(dir.join("gcp.csv"), right.replace("left/", "right/")).unwrap();
+    let parts = ["gcp.csv", "as right/0 a.png, is one of its 8 images"];
+    tiepoint_in(dir, adjust).failed(1, &parts);
+    tiepoint_in(dir, evaluate).failed(1, &parts);
+    let shuffled = |k: usize, xyz: Vector3<f64>| transform * xyz.map(|v| v * (1.0 + k as f64));
+    fs::write(dir.join("gcp.csv"), control_points_csv(&model, &shuffled)).unwrap();
+    tiepoint_in(dir, adjust).failed(1, &["from their places in the model"]);
+    assert!(!dir.join("b").exists());
+    // A place on the earth, and a model that is nowhere.
+    let header = "point,lat,lon,alt,image,px,py\n";
+    fs::write(dir.join("gcp.csv"), format!("{header}p,48,11,500,left/0 a.png,1,2\n")).unwrap();
+    tiepoint_in(dir, evaluate).failed(1, &["not in a frame on the earth", "model align"]);
+    tiepoint_in(dir, adjust).failed(1, &["0 of 1 control points are usable"]);
+    fs::write(dir.join("bal.txt"), "1 0 0\n0 0 0 0 0 0 1 0 0\n").unwrap();
+    let bal = "adjust {}/bal.txt --control-points {}/gcp.csv";
+    tiepoint_in(dir, bal).failed(1, &["images of a BAL problem have no names"]);
+}
+
 #[test]
 fn alignment_to_a_model_by_common_keypoints() {
     let dir = tempfile::tempdir().unwrap();

@@ -3,6 +3,7 @@
 use std::fs::{self, File};
 use std::path::Path;
 use std::process::{Command, Stdio};
+use std::time::Duration;
 
 use rusqlite::Connection;
 use rusqlite::types::Value;
@@ -274,6 +275,8 @@ fn sub_maps_give_the_same_bytes_whoever_maps_them() {
     assert!(fs::read(&tile).unwrap() == made, "it is not replaced");
     map("parts", "--submap 2").done();
     map("parts", "--merge").done();
+    let left = map("parts", "--submap 2 --json").done().json();
+    assert_eq!((&left["is_kept"], &left["tile"]), (&true.into(), &().into()));
     assert!(models(&workspaces[0]) == models(&workspaces[2]), "a process for each part");
     assert!(!workspaces[2].join(TILES).exists());
 
@@ -292,4 +295,37 @@ fn sub_maps_give_the_same_bytes_whoever_maps_them() {
     }
     tiepoint_in(dir, "map {}/ws --submaps 50 --rig paper").failed(1, &["as one map"]);
     tiepoint_in(dir, "map {}/ws --submaps 20").failed(1, &["submaps", "at least 50"]);
+}
+
+/// A run that maps all parts by itself and is killed in the second one: what it leaves is its own,
+/// and is in the way of nobody when the matches change.
+#[test]
+fn tiles_of_a_killed_map_are_discarded_when_its_input_changes() {
+    let dir = tempfile::tempdir().unwrap();
+    let dir = dir.path();
+    let synth = "synth -o {}/drive --frames 30 --size 240x180 --rate 2.5 --route open --seed 3";
+    tiepoint_in(dir, synth).done();
+    tiepoint_in(dir, "features {}/drive -o {}/ws --timestamps {}/drive/timestamps.csv").done();
+    tiepoint_in(dir, "match {}/ws --pairs sequential:6").done();
+    let tile = dir.join("ws").join(TILES).join("map-1-of-2");
+    let killed = || {
+        let mut map = Command::new(env!("CARGO_BIN_EXE_tiepoint"));
+        map.arg("map").arg(dir.join("ws")).args(["--rig", "off", "--submaps", "50"]);
+        let mut map = map.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
+        while !tile.exists() {
+            assert!(map.try_wait().unwrap().is_none(), "it ended before its first tile");
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        map.kill().unwrap();
+        map.wait().unwrap();
+    };
+    // Says what there is, and maps nothing.
+    let merge = "map {}/ws --rig off --submaps 50 --merge";
+    killed();
+    tiepoint_in(dir, merge).failed(1, &["1 tiles of models", "shard 2/2 is missing"]);
+    tiepoint_in(dir, &format!("{merge} --redo map")).failed(1, &["0 tiles", "shard 1/2"]);
+    assert!(!tile.exists());
+    killed();
+    tiepoint_in(dir, "match {}/ws --pairs sequential:5 --redo match").done();
+    tiepoint_in(dir, merge).failed(1, &["0 tiles of models", "shard 1/2 is missing"]);
 }

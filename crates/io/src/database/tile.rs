@@ -12,7 +12,7 @@ use tiepoint_features::{Descriptors, Features, Keypoint};
 use tiepoint_geometry::nalgebra::Matrix3;
 use tiepoint_scene::{ImageId, ImagePair, Match, TwoView};
 use tiepoint_store::disk::Folder;
-use tiepoint_store::{HashedFile, open_hashed};
+use tiepoint_store::{HashedFile, open_hashed, open_unchecked};
 
 use super::features::{format_of, to_bytes, to_entries, type_of};
 use super::pairs::{KINDS, match_bytes};
@@ -133,18 +133,41 @@ impl TileReader {
     /// If a part of the name is a link, and if the file cannot be read.
     pub fn open(folder: &Folder, name: &str) -> Result<Option<Self>> {
         let Some((file, length)) = open_hashed(folder, name)? else { return Ok(None) };
+        Self::begin(folder, name, file, length)
+    }
+
+    /// As [`TileReader::open`], without reading the content: for a tile that was checked before,
+    /// and for the text of one. `None` if its begin is damaged.
+    ///
+    /// # Errors
+    ///
+    /// Those of [`TileReader::open`].
+    pub fn open_unchecked(folder: &Folder, name: &str) -> Result<Option<Self>> {
+        let Some((file, length)) = open_unchecked(folder, name)? else { return Ok(None) };
+        Self::begin(folder, name, file, length)
+    }
+
+    fn begin(folder: &Folder, name: &str, file: File, length: u64) -> Result<Option<Self>> {
         let path = folder.join(name);
         let mut reader = Reader::new(BufReader::with_capacity(1 << 16, file), &path, length);
-        if reader.remaining() < MAGIC.len() as u64 || reader.bytes("the begin")? != *MAGIC {
-            return Ok(None);
+        let mut text = || -> Result<Option<Vec<u8>>> {
+            if reader.bytes("the begin")? != *MAGIC {
+                return Ok(None);
+            }
+            let count = reader.count(1, "the length of the text")?;
+            if count as u64 > MAX_TEXT_BYTES {
+                return Ok(None);
+            }
+            let mut text = vec![0; count];
+            reader.fill(&mut text, "the text")?;
+            Ok(Some(text))
+        };
+        match text() {
+            Ok(text) => Ok(text.map(|text| Self { reader, text })),
+            // It ends there.
+            Err(Error::Bytes { .. }) => Ok(None),
+            Err(error) => Err(error),
         }
-        let count = reader.count(1, "the length of the text")?;
-        if count as u64 > MAX_TEXT_BYTES {
-            return Ok(None);
-        }
-        let mut text = vec![0; count];
-        reader.fill(&mut text, "the text")?;
-        Ok(Some(Self { reader, text }))
     }
 
     /// What it is.
@@ -326,6 +349,22 @@ mod tests {
         let second = tile.next_pair().unwrap().unwrap();
         assert_eq!(second, (pairs[1], Vec::new(), TwoView::default()));
         assert!(tile.next_pair().unwrap().is_none());
+    }
+
+    #[test]
+    fn a_tile_without_its_begin_is_damaged() {
+        let (dir, folder) = folder();
+        TileWriter::create(&folder, "a", b"some text").unwrap().finish().unwrap();
+        let good = std::fs::read(dir.path().join("a")).unwrap();
+        let is_open = |content: &[u8]| {
+            std::fs::write(dir.path().join("a"), content).unwrap();
+            TileReader::open_unchecked(&folder, "a").unwrap().is_some()
+        };
+        assert!(is_open(&good));
+        let announced = [&MAGIC[..], &u64::MAX.to_le_bytes(), &[0; 64]].concat();
+        for bad in [&good[1..], &good[..good.len() - 1], &good[..40], &[], &announced] {
+            assert!(!is_open(bad), "{} bytes", bad.len());
+        }
     }
 
     /// Whoever wrote a tile: what it announces is not believed.

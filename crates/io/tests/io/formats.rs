@@ -535,6 +535,9 @@ fn text_readers() -> Vec<(&'static str, &'static str, Reader)> {
         ("gcp_list.txt", "EPSG:32632\n691603 5334780 519 7 8 1.jpg a\n", |p| {
             shown(control_points::read(p))
         }),
+        ("gcp.csv", "point,x,y,z,image,px,py\np,1,2,3,a.jpg,4,5\n", |p| {
+            shown(control_points::read(p))
+        }),
         ("tum.txt", "0.5 1 2 3 0 0 0 1\n", |p| shown(read_tum(p))),
         ("kitti.txt", "1 0 0 1 0 1 0 2 0 0 1 3\n", |p| shown(read_kitti(p))),
         ("euroc.csv", "5,1,2,3,1,0,0,0\n", |p| shown(read_euroc(p))),
@@ -655,6 +658,23 @@ fn control_points_have_marks_in_images() {
     assert_eq!(found[0].place, place);
     let found = read("local\n1 2 3 4 5 a.jpg\n").unwrap();
     assert_eq!(found[0].place, Place::Cartesian(Vector3::new(1.0, 2.0, 3.0)));
+    assert_eq!((found[0].sigmas_m, found[0].mark_sigma_px), (None, None));
+    // CSV: columns in any order, deviations that may be empty.
+    let header = "point,lat,lon,alt,image,px,py,sigma_h,sigma_v,sigma_px";
+    let found = read(&format!(
+        "{header}\nn, 48.1, 11.5, 5, a b.jpg, 1, 2, 0.02, 0.05, 1.5\n\
+         n,48.1,11.5,5,b.jpg,3,4,0.02,0.05,1.5\nCHK-1,48.1,11.5,6,b.jpg,5,6,,,\n"
+    ));
+    let found = found.unwrap();
+    assert_eq!((found.len(), found[0].name.as_str(), found[0].place), (2, "n", place));
+    assert_eq!((found[0].sigmas_m, found[0].mark_sigma_px), (Some([0.02, 0.05]), Some(1.5)));
+    assert_eq!((found[1].sigmas_m, found[1].mark_sigma_px), (None, None));
+    let marks = [("a b.jpg", 1.0, 2.0), ("b.jpg", 3.0, 4.0)];
+    assert_eq!(found[0].marks, marks.map(|(name, x, y)| (name.to_owned(), Vector2::new(x, y))));
+    assert!(found[1].is_check && !found[0].is_check);
+    let found = read("image,px,py,point,x,y,z,sigma\na.jpg,4,5,p,1,2,3,0.1\n").unwrap();
+    assert_eq!(found[0].place, Place::Cartesian(Vector3::new(1.0, 2.0, 3.0)));
+    assert_eq!(found[0].sigmas_m, Some([0.1; 2]));
     for (text, part) in [
         ("", "the frame is ``"),
         ("EPSG:2056\n1 2 3 4 5 a.jpg\n", "the frame is `EPSG:2056` and must be EPSG:4326"),
@@ -667,6 +687,24 @@ fn control_points_have_marks_in_images() {
         ("local\n1 2 3 4 5 a.jpg p\n1 2 4 4 5 b.jpg p\n", "p has another position above"),
         ("local\n1 2 3 4 5 a.jpg p\n1 2 3 4 5 a.jpg p\n", "p is marked twice in a.jpg"),
         ("EPSG:4326\n48 111 3 4 5 a.jpg\n", "the latitude 111 is not from -90 to 90"),
+        ("local\n1 2 NaN 4 5 a.jpg\n", "a coordinate of the point is NaN"),
+        (
+            "point,x,y,image,px,py\n",
+            "line 1: the header `point,x,y,image,px,py` lacks the column z",
+        ),
+        ("point,x,y,z,z,image,px,py\n", "the column `z` is in the header twice"),
+        ("point,x,y,z,image,px,py,colour\n", "the column `colour` is none of control points"),
+        ("point,x,y,z,image,px,py,sigma_h\n", "are sigma, or sigma_h and sigma_v"),
+        ("point,x,y,z,image,px,py\n", "has no mark"),
+        ("point,x,y,z,image,px,py\np,1,5,2,3,a.jpg,4,5\n", "8 fields and the header 7: decimals"),
+        ("point,x,y,z,image,px,py\np,1,2,inf,a.jpg,4,5\n", "the column z is `inf`, no number"),
+        ("point,x,y,z,image,px,py\n,1,2,3,a.jpg,4,5\n", "the column point is empty"),
+        ("point,lat,lon,alt,image,px,py\np,111,48,3,a.jpg,4,5\n", "the latitude 111 is not"),
+        ("point,x,y,z,image,px,py,sigma\np,1,2,3,a.jpg,4,5,0\n", "sigma is 0, not above 0"),
+        (
+            "point,x,y,z,image,px,py,sigma\np,1,2,3,a.jpg,4,5,1\np,1,2,3,b.jpg,4,5,2\n",
+            "the point p has other standard deviations above",
+        ),
     ] {
         let message = read(text).unwrap_err().to_string();
         assert!(message.contains(part), "{text:?}: {message}");

@@ -16,6 +16,9 @@ use tiepoint_sfm::geometry::nalgebra::{Quaternion, SVector, UnitQuaternion, Vect
 use tiepoint_sfm::geometry::{Loss, Rigid3, so3};
 use tiepoint_store::{Replace, write_file};
 
+use crate::models::model_tools::frame_in_words;
+use crate::stages::control_points::ControlPoints;
+use crate::workspace::control_report::ControlReport;
 use crate::workspace::located_model::LocatedModel;
 use crate::{Error, Event, Watch, emit};
 
@@ -41,6 +44,12 @@ pub struct AdjustReport {
     pub points: usize,
     /// Cost over time.
     pub steps: Vec<AdjustStep>,
+    /// The frame of the control points, as a sentence.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub frame: Option<String>,
+    /// The control points that took part, and the check points.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub control_points: Option<ControlReport>,
 }
 
 /// An attempted step of the optimiser.
@@ -60,6 +69,8 @@ const MAX_ITERATIONS: usize = 100;
 /// to `output` in the format of the input. Calibrated intrinsics have a prior at the calibration,
 /// or are constant where mapping kept them. With `fix_intrinsics` all are constant. Images of a rig
 /// frame keep their sensor_from_rig in common. `overwrite` permits to replace a file at `output`.
+/// With `control_points`, a file of them, the model is brought into their frame, and adjusted
+/// together with them; the report is that of the last adjustment.
 ///
 /// # Errors
 ///
@@ -69,10 +80,18 @@ pub fn adjust(
     output: Option<&Path>,
     overwrite: bool,
     fix_intrinsics: bool,
+    control_points: Option<&Path>,
     watch: Watch,
 ) -> Result<AdjustReport, Error> {
     if path.is_dir() {
-        adjust_colmap(&LocatedModel::open(path)?, output, fix_intrinsics, watch)
+        let points = control_points.map(ControlPoints::read).transpose()?;
+        adjust_colmap(&LocatedModel::open(path)?, output, fix_intrinsics, points.as_ref(), watch)
+    } else if let Some(file) = control_points {
+        Err(Error::NoAlignment {
+            model: path.to_owned(),
+            reference: file.to_owned(),
+            reason: "images of a BAL problem have no names".to_owned(),
+        })
     } else {
         let output = output.map(|output| (output, Replace::new(None, overwrite)));
         adjust_bal(path, output, fix_intrinsics, watch)
@@ -83,6 +102,7 @@ fn adjust_colmap(
     located: &LocatedModel,
     output: Option<&Path>,
     fix_intrinsics: bool,
+    control_points: Option<&ControlPoints>,
     watch: Watch,
 ) -> Result<AdjustReport, Error> {
     if let Some(what) = located.note() {
@@ -93,13 +113,31 @@ fn adjust_colmap(
     let refine = if fix_intrinsics { RefineIntrinsics::NONE } else { defaults.refine };
     let options = AdjustOptions { refine, max_iterations: MAX_ITERATIONS, ..defaults };
     let start = Instant::now();
-    let summary = sfm::adjust::adjust(&mut model, &Scope::Global, &options, &mut [], &mut |step| {
+    let mut watch = |step: &IterationRecord| {
         watch(&Event::AdjustmentStep { step: step.number, cost: step.cost })
-    })
-    .map_err(Error::adjusting(located.folder()))?;
-    let report = AdjustReport::new(&summary, start, model.num_registered(), model.num_tracks())?;
+    };
+    let (summary, points) = match control_points {
+        Some(points) => {
+            let placed = (located.folder(), &mut model);
+            let found = points.adjust_finished(placed, &located.shutters, &options, &mut watch)?;
+            (found.summary, Some(ControlReport::from(found.points)))
+        }
+        None => {
+            let scope = &Scope::Global;
+            let adjusted = sfm::adjust::adjust(&mut model, scope, &options, &mut [], &mut watch);
+            (adjusted.map_err(Error::adjusting(located.folder()))?, None)
+        }
+    };
+    let (images, num_points) = (model.num_registered(), model.num_tracks());
+    let report = AdjustReport {
+        frame: control_points.map(|points| frame_in_words(&points.georeference())),
+        control_points: points,
+        ..AdjustReport::new(&summary, start, images, num_points)?
+    };
     if let Some(output) = output {
-        located.changed(model).write(output, &located.files())?;
+        let mut inputs = located.files();
+        inputs.extend(control_points.map(|points| points.file().to_owned()));
+        located.changed(model).write(output, &inputs)?;
     }
     Ok(report)
 }
@@ -202,6 +240,8 @@ impl AdjustReport {
                     accepted: step.accepted,
                 })
                 .collect(),
+            frame: None,
+            control_points: None,
         })
     }
 }

@@ -15,8 +15,8 @@ pub use localize::{
     CameraSource, LocalizeOptions, LocalizeReport, LocalizedPhoto, PhotoPose, localize,
 };
 pub use model_tools::{
-    AlignTo, AlignmentInfo, CameraInfo, ControlPointInfo, CropTo, MergedInfo, ModelChange,
-    ModelInfo, SimilarityInfo, align_model, crop_model, merge_models, model_info, transform_model,
+    AlignTo, AlignmentInfo, CameraInfo, CropTo, MergedInfo, ModelChange, ModelInfo, SimilarityInfo,
+    align_model, crop_model, merge_models, model_info, transform_model,
 };
 pub use rigid::RigidReport;
 pub use tiepoint_dense::undistort::UndistortOptions;

@@ -5,20 +5,19 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
-use tiepoint_io::control_points::{self, ControlPoint};
 use tiepoint_io::names::ByName;
 use tiepoint_io::{position_priors, positions, similarity};
 use tiepoint_sfm::geometry::geodesy::Geodetic;
-use tiepoint_sfm::geometry::nalgebra::{Vector2, Vector3};
+use tiepoint_sfm::geometry::nalgebra::Vector3;
 use tiepoint_sfm::geometry::{RansacOptions, Sim3, estimate};
 use tiepoint_sfm::model_tools::{BoundingBox, align_models, crop, merge_model};
-use tiepoint_sfm::positions::{
-    ControlMisfit, MarkedPoint, PointError, align_to_points, may_be_mirrored,
-};
+use tiepoint_sfm::positions::may_be_mirrored;
 use tiepoint_sfm::scene::{Georeference, Position, Reconstruction};
 use tiepoint_store::{Replace, write_file};
 
 use crate::Error;
+use crate::stages::control_points::{ControlPoints, UPSIDE_DOWN};
+use crate::workspace::control_report::ControlPointReport;
 use crate::workspace::format::path_text;
 use crate::workspace::located_model::LocatedModel;
 use crate::workspace::model_output::refuse_foreign_model;
@@ -113,7 +112,7 @@ pub struct ModelChange {
     pub frame: Option<String>,
     /// The control points of the alignment.
     #[serde(skip_serializing_if = "Vec::is_empty")]
-    pub control_points: Vec<ControlPointInfo>,
+    pub control_points: Vec<ControlPointReport>,
     /// The further models of a merge, in the order in which they were merged.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub merged: Vec<MergedInfo>,
@@ -131,27 +130,6 @@ pub struct AlignmentInfo {
     /// Mean distance of the camera centres of common images from their places after the alignment,
     /// in units of the new frame; of positions, those that fit.
     pub mean_distance: f64,
-}
-
-/// A control point or check point after an alignment.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct ControlPointInfo {
-    /// Its name.
-    pub name: String,
-    /// Whether it only tells of errors.
-    pub is_check: bool,
-    /// Whether the others contradict it, so that it was not used.
-    pub is_wrong: bool,
-    /// Number of marks in images with a pose.
-    pub marks: usize,
-    /// Number of those that agree on one point.
-    pub inlier_marks: usize,
-    /// Its place in the model minus the measured one, in metres; `None` if the marks do not
-    /// determine it.
-    pub error_m: Option<[f64; 3]>,
-    /// Standard deviations of the error along the axes, by those of marks (3 px) and coordinates
-    /// (1 cm); `None` without an error.
-    pub sigmas_m: Option<[f64; 3]>,
 }
 
 /// A model that was merged into the first one.
@@ -188,7 +166,7 @@ pub enum AlignTo<'a> {
         /// Maximum distance of an inlier, in the unit of the file.
         max_error: f64,
     },
-    /// Control points that are marked in images ([`control_points`]).
+    /// Control points that are marked in images ([`tiepoint_io::control_points`]).
     ControlPoints {
         /// The file.
         path: &'a Path,
@@ -313,9 +291,11 @@ pub fn align_model(
         }
         AlignTo::ControlPoints { path: file } => {
             inputs.push(file.to_owned());
-            let (similarity, georeference, points) = align_to_control_points(located, file)?;
-            control_points = points;
-            (similarity, None, Some(georeference))
+            let points = ControlPoints::read(file)?;
+            let model = (located.folder(), &located.reconstruction);
+            let (similarity, reports) = points.align(model, &located.shutters)?;
+            control_points = reports;
+            (similarity, None, Some(points.georeference()))
         }
     };
     let mut model = transform(located, &new_from_old)?;
@@ -336,7 +316,7 @@ pub fn align_model(
 }
 
 /// The frame of a georeferenced model, as a sentence.
-fn frame_in_words(georeference: &Georeference) -> String {
+pub(super) fn frame_in_words(georeference: &Georeference) -> String {
     match georeference {
         Georeference::Enu { frame, has_height } => {
             let Geodetic { latitude_deg, longitude_deg, height_m } = frame.origin();
@@ -480,71 +460,6 @@ fn align_to_positions(
         mean_distance: mean(distances.into_iter()),
     };
     Ok((report.model, info))
-}
-
-/// Why a frame with z up is refused.
-const UPSIDE_DOWN: &str = "it would be upside down: are two coordinates swapped?";
-
-/// Standard deviation of the coordinates of a control point, in metres: of a survey.
-const CONTROL_SIGMA_M: f64 = 0.01;
-
-/// Why `all` control points do not determine the alignment, and what to do.
-fn why_undetermined(misfit: ControlMisfit, all: usize) -> String {
-    match misfit {
-        ControlMisfit::TooFew { usable } => format!(
-            "{usable} of {all} control points are usable, and three that are not on a line are \
-             needed, each marked in two images with a pose and in different directions"
-        ),
-        ControlMisfit::Uncertain { usable, rotation_sd_rad, scale_sd } => format!(
-            "its {usable} usable control points are near a line or near each other, which leaves a \
-             rotation uncertain by {:.0}° and the scale by {:.0} %: mark a point beside the line, \
-             far from the others",
-            rotation_sd_rad.to_degrees().min(180.0),
-            100.0 * scale_sd.min(9.99)
-        ),
-        ControlMisfit::UpsideDown => UPSIDE_DOWN.to_owned(),
-    }
-}
-
-/// The similarity to control points, their frame, and the points after it.
-fn align_to_control_points(
-    located: &LocatedModel,
-    file: &Path,
-) -> Result<(Sim3, Georeference, Vec<ControlPointInfo>), Error> {
-    let model = &located.reconstruction;
-    let points = control_points::read(file)?;
-    let failed = |reason: String| Error::NoAlignment {
-        model: located.folder().to_owned(),
-        reference: file.to_owned(),
-        reason,
-    };
-    let by_name = ByName::new(model.images().map(|(id, i)| (i.name.clone(), id)).collect());
-    let of_mark = |(name, pixel): &(String, Vector2<f64>)| Some((*by_name.get(name)?, *pixel));
-    let georeference = Georeference::near(points.iter().map(|point| &point.place));
-    let marked = points.iter().filter_map(|point| {
-        Some(MarkedPoint {
-            xyz: georeference?.to_local(&point.place)?,
-            sigma_m: CONTROL_SIGMA_M,
-            is_check: point.is_check,
-            marks: point.marks.iter().filter_map(of_mark).collect(),
-        })
-    });
-    let marked: Vec<MarkedPoint> = marked.collect();
-    let all = points.iter().filter(|point| !point.is_check).count();
-    let why = |misfit| failed(why_undetermined(misfit, all));
-    let found = align_to_points(model, &marked).map_err(why)?;
-    let info = |(point, error): (&ControlPoint, &PointError)| ControlPointInfo {
-        name: point.name.clone(),
-        is_check: point.is_check,
-        is_wrong: error.is_wrong,
-        marks: error.marks[0],
-        inlier_marks: error.marks[1],
-        error_m: error.error_m.map(Into::into),
-        sigmas_m: error.error_m.map(|_| error.sigmas_m.into()),
-    };
-    let infos = points.iter().zip(&found.points).map(info).collect();
-    let georeference = georeference.ok_or_else(|| why(ControlMisfit::TooFew { usable: 0 }))?;
-    Ok((found.term_from_model, georeference, infos))
 }
 
 /// Keeps a part of a model and writes it to `to`.

@@ -267,7 +267,7 @@ impl<'a> Survey<'a> {
     ) -> Result<StageResult, Error> {
         let recipe = &self.recipe_of_tiles(recipe);
         // What is wrong with them is said before anything is replaced.
-        run.workspace.for_each_tile(Stage::Features, recipe, |_| Ok(()))?;
+        let tiles = run.workspace.check_tiles(Stage::Features, recipe)?;
         let mut database = self.begin(run)?;
         let mut counts = database.keypoint_counts()?;
         let done = counts.iter().flatten().count();
@@ -292,7 +292,7 @@ impl<'a> Survey<'a> {
                 }
             }
         };
-        let of_tiles = workspace.for_each_tile(Stage::Features, recipe, |mut tile| {
+        let of_tiles = workspace.for_each_tile(&tiles, |mut tile| {
             while let Some((id, features)) = tile.next_features()? {
                 // An interrupted run has written those of some images.
                 if counts.get(id.index()) == Some(&None) {

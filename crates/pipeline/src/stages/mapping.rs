@@ -31,6 +31,7 @@ use crate::shard::Shard;
 use crate::stages::calibration_priors::{calibrations_of, set_calibration_priors};
 use crate::stages::checkpoint::{CheckpointFile, MAGIC, key_of};
 use crate::stages::colors::color_points;
+use crate::stages::control_points::{ControlPoints, PlacedByPoints};
 use crate::stages::foreign_database::require_descriptors;
 use crate::stages::input_model::{InputModel, OpenedModel};
 use crate::stages::option_keys;
@@ -84,6 +85,9 @@ pub struct MapOptions {
     /// Measured positions of the photos. The models are moved into their frame; in adjustments they
     /// take part if held-out ones say that it helps.
     pub position_priors: PositionPriors,
+    /// A file of control points: the models are moved into their frame, and adjusted together with
+    /// them. [`MapOptions::position_priors`] are then not used.
+    pub control_points: Option<PathBuf>,
     /// Whether the images are mapped in parts.
     pub submaps: Submaps,
     /// Memory for sub-maps, in bytes, which decides how many are mapped at once; `None`: half of
@@ -122,7 +126,9 @@ pub fn map(
     workspace.run_stage(stage, watch, |run| {
         // Foreign files are detected before mapping. Old models stay until the new ones are
         // complete.
-        let may_be_on_earth = request.positions.is_some() || request.input_model.is_some();
+        let may_be_on_earth = request.positions.is_some()
+            || request.control_points.is_some()
+            || request.input_model.is_some();
         let replaced = replaced_names(run.workspace, may_be_on_earth);
         run.workspace.folder.ensure_writable(replaced.iter().map(String::as_str))?;
         let mut input = request.read(run.workspace, run.watch)?;
@@ -163,15 +169,13 @@ pub fn map_submap(
     let shard = Shard::all(count).nth(number.get() - 1);
     let shard = shard.ok_or_else(|| Error::NoSubmap { path: path(), number, count })?;
     let first = Shard::all(count).next().filter(|first| *first != shard);
-    let first = match first {
-        Some(first) => {
-            let missing = || Error::MissingFirstSubmap { path: path() };
-            Some(workspace.state_of(first, &recipe)?.ok_or_else(missing)?)
-        }
-        None => None,
-    };
     let name = |id| input.scene.image(id).name.as_str();
+    let workspace = &*workspace;
     workspace.run_shard(stage, (shard, &recipe), redo, watch, |tile, watch| {
+        // Only now: the tiles of a complete stage are gone.
+        let missing = || Error::MissingFirstSubmap { path: path() };
+        let of_first = |first| workspace.state_of(first, &recipe)?.ok_or_else(missing);
+        let first = first.map(of_first).transpose()?;
         let total = parts.images(number.get() - 1);
         emit(watch, &Event::StageBegan { stage, total, done: 0 })?;
         let mut named = |event: &sfm::Event| {
@@ -192,6 +196,7 @@ struct MapRequest<'a> {
     /// Whether the features came with the database of another program.
     is_imported: bool,
     positions: Option<FoundPositions>,
+    control_points: Option<ControlPoints>,
     /// The number of images of a sub-map; `None` for one map.
     submap_size: Option<usize>,
 }
@@ -220,6 +225,7 @@ struct Mapped {
     models: Vec<MappedModel>,
     scales: Vec<Option<ScaleReport>>,
     placed: Placed,
+    controlled: PlacedByPoints,
     /// What was noted of checkpoints.
     notes: Vec<String>,
 }
@@ -257,9 +263,12 @@ impl<'a> MapRequest<'a> {
         texts.push(option_keys::calibration_sigma_option(sigma_px));
         let is_imported = of_features(option_names::DATABASE);
         if let Some(model) = &input_model {
+            let with = "`mapper.input_model`";
             if rig_calibration.is_some() {
-                let (option, with) = ("`mapper.rig_calibration`", "`mapper.input_model`");
-                return Err(Error::MovesPoses { option, with });
+                return Err(Error::MovesPoses { option: "`mapper.rig_calibration`", with });
+            }
+            if given.control_points.is_some() {
+                return Err(Error::MovesPoses { option: "`mapper.control_points`", with });
             }
             texts.extend(model.texts());
             mapper = model.options(mapper)?;
@@ -267,7 +276,14 @@ impl<'a> MapRequest<'a> {
         }
         let hash = rig_calibration.map(hash_file).transpose()?;
         texts.extend(option_keys::rig_calibration_options(hash, refine_extrinsics));
-        let positions = FoundPositions::read(workspace, &given.position_priors, is_redone, watch)?;
+        let control_points =
+            given.control_points.as_deref().map(ControlPoints::read).transpose()?;
+        let hash = control_points.as_ref().map(ControlPoints::hash);
+        texts.push(option_keys::control_points_option(hash));
+        let positions = match control_points {
+            Some(_) => None,
+            None => FoundPositions::read(workspace, &given.position_priors, is_redone, watch)?,
+        };
         let hash = positions.as_ref().map(FoundPositions::hash);
         texts.push(option_keys::position_priors_option(hash));
         let has_frame =
@@ -277,7 +293,16 @@ impl<'a> MapRequest<'a> {
         let num_images = num_images.map_or(0, |database| database.num_images());
         let submap_size = given.submaps.size(num_images, has_frame)?;
         texts.push(option_keys::submaps_option(submap_size));
-        Ok(Self { given, options: mapper, input_model, texts, is_imported, positions, submap_size })
+        Ok(Self {
+            given,
+            options: mapper,
+            input_model,
+            texts,
+            is_imported,
+            positions,
+            control_points,
+            submap_size,
+        })
     }
 
     /// The parts of the images; `None` for one map.
@@ -294,15 +319,19 @@ impl<'a> MapRequest<'a> {
         input: &MapInput,
         recipe: &Recipe,
     ) -> Result<Vec<Vec<u8>>, Error> {
-        let MapOptions { merges_submaps, max_memory_bytes, .. } = *self.given;
+        let merges_submaps = self.given.merges_submaps;
         let Some(parts) = self.parts(input) else {
             let path = run.workspace.root().to_owned();
             return if merges_submaps { Err(Error::NoSubmaps { path }) } else { Ok(Vec::new()) };
         };
-        if merges_submaps {
-            run.workspace.require_tiles(Stage::Map, parts.count(), recipe)?;
+        if run.is_redone {
+            run.workspace.remove_own_tiles(Stage::Map)?;
         }
-        parts.states(run.workspace, recipe, max_memory_bytes, run.watch)
+        let found = parts.found(run.workspace, recipe)?;
+        if merges_submaps {
+            run.workspace.require_all(Stage::Map, &found)?;
+        }
+        parts.states(found, run.workspace, recipe, self.given.max_memory_bytes, run.watch)
     }
 
     fn take_texts(&mut self) -> Vec<(&'static str, String)> {
@@ -386,8 +415,15 @@ impl<'a> MapRequest<'a> {
         };
         // Positions may give other models.
         scales.resize(models.len(), None);
+        let controlled = match &self.control_points {
+            Some(points) => {
+                let rigs = input.known_rigs.as_ref();
+                points.place(&mut models, &self.options, rigs, run.watch)?
+            }
+            None => PlacedByPoints::default(),
+        };
         color(run, &mut models)?;
-        Ok(Mapped { models, scales, placed, notes })
+        Ok(Mapped { models, scales, placed, controlled, notes })
     }
 
     /// Moves the models into the frame of measured positions. Those that were mapped with the
@@ -528,11 +564,17 @@ impl<'a> MapRequest<'a> {
         mapped: Mapped,
         replaced: Vec<String>,
     ) -> Result<StageResult, Error> {
-        let Mapped { models, scales, placed, mut notes } = mapped;
+        let Mapped { models, scales, placed, controlled, mut notes } = mapped;
         let files = stage_models(run.workspace, &models)?;
         let is_known = input.known_rigs.is_some();
         let Placed { reports, factors, notes: mut of_models } = placed;
-        let reports = self.reports(&models, scales, (reports, factors), is_known);
+        let PlacedByPoints { reports: points, factors: of_points, notes: of_control } = controlled;
+        of_models.extend(of_control);
+        let factors = if of_points.is_empty() { factors } else { of_points };
+        let mut reports = self.reports(&models, scales, (reports, factors), is_known);
+        for (report, points) in reports.iter_mut().zip(points) {
+            report.control_points = points;
+        }
         let may_be_rig = self.options.rig != RigMode::Off && !is_known;
         if let Some(first) = models.first()
             && may_be_rig

@@ -122,14 +122,14 @@ pub fn match_images(
     workspace.run_stage(request, watch, |run| {
         let workspace = &mut *run.workspace;
         // What is wrong with them is said before anything is replaced.
-        workspace.for_each_tile(Stage::Match, &recipe, |_| Ok(()))?;
+        let tiles = workspace.check_tiles(Stage::Match, &recipe)?;
         let mut database = Database::open(&workspace.database())?;
         require_descriptors(workspace, &database)?;
         if run.begins {
             database.clear_matches_for(&workspace.records.rows())?;
             workspace.note(|_| {})?;
         }
-        workspace.for_each_tile(Stage::Match, &recipe, |tile| take_pairs(&mut database, tile))?;
+        workspace.for_each_tile(&tiles, |tile| take_pairs(&mut database, tile))?;
         let images = database.read_images()?;
         note_on_auto(is_auto, &images, &database, run.watch)?;
         let MatchOptions { pairs, seed, .. } = *options;

@@ -3,6 +3,7 @@
 pub(crate) mod calibration_priors;
 mod checkpoint;
 mod colors;
+pub(crate) mod control_points;
 pub(crate) mod dense;
 pub(crate) mod extraction;
 pub(crate) mod features;

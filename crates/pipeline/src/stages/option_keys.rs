@@ -22,8 +22,8 @@ use tiepoint_sfm::two_view::VerifyOptions;
 
 use crate::stages::dense::options::DenseOptions;
 use crate::workspace::option_names::{
-    CALIBRATION_KEY, CALIBRATION_SIGMA_KEY, CAMERAS_KEY, DATABASE, EXTRACTOR, FOCAL_PRIOR,
-    FOUND_PAIRS, INTRINSICS, MATCHER, MAX_PIXELS_KEY, MAX_SIZE_KEY, NONE, PAIRS,
+    CALIBRATION_KEY, CALIBRATION_SIGMA_KEY, CAMERAS_KEY, CONTROL_POINTS_KEY, DATABASE, EXTRACTOR,
+    FOCAL_PRIOR, FOUND_PAIRS, INTRINSICS, MATCHER, MAX_PIXELS_KEY, MAX_SIZE_KEY, NONE, PAIRS,
     POSITION_PRIORS_KEY, REFINE_EXTRINSICS_KEY, RIG_CALIBRATION_KEY,
 };
 
@@ -96,6 +96,11 @@ pub(crate) fn calibration_sigma_option(sigma_px: Option<f64>) -> (&'static str, 
 /// Known rigs by the hash of their file, and whether they are refined: options of the map stage.
 pub(crate) fn rig_calibration_options(hash: Option<String>, is_refined: bool) -> Texts {
     vec![(RIG_CALIBRATION_KEY, or_none(hash)), (REFINE_EXTRINSICS_KEY, is_refined.to_string())]
+}
+
+/// Control points by the hash of their file, an option of the map stage.
+pub(crate) fn control_points_option(hash: Option<String>) -> (&'static str, String) {
+    (CONTROL_POINTS_KEY, or_none(hash))
 }
 
 /// Measured positions by their hash, an option of the map stage.
@@ -454,6 +459,7 @@ mod tests {
             .chain([calibration_files_option(&[]), calibration_sigma_option(None)])
             .chain(rig_calibration_options(None, false))
             .chain([position_priors_option(None), submaps_option(None)])
+            .chain([control_points_option(None)])
             .chain(mapping_options(&mapper, None))
             .chain(input_model_options("", false))
             .chain(database_options("", false))

@@ -541,7 +541,7 @@ impl ScenePositions {
 }
 
 /// Moves a model, and the lengths of its rig.
-fn transform(mapped: &mut MappedModel, similarity: Sim3) {
+pub(crate) fn transform(mapped: &mut MappedModel, similarity: Sim3) {
     mapped.reconstruction.transform(&similarity);
     for rows in mapped.row_poses.values_mut() {
         rows.velocity_in_world = similarity.scale * (similarity.rotation * rows.velocity_in_world);

@@ -120,26 +120,41 @@ impl<'a> Parts<'a> {
         (BYTES_PER_KEYPOINT * keypoints + BYTES_PER_MATCH * matches) as u64
     }
 
-    /// The states of all parts, in order. Those that have no tile are mapped, as many at once as
-    /// the memory holds, and get one.
-    pub(crate) fn states(
+    /// The states of all parts that have tiles, in order.
+    ///
+    /// # Errors
+    ///
+    /// A tile cannot be read, is damaged, or is that of a process for a part of another recipe:
+    /// somebody may need it, as in the other stages.
+    pub(crate) fn found(
         &self,
         workspace: &Workspace,
         recipe: &Recipe,
-        max_memory_bytes: Option<u64>,
-        watch: Watch,
-    ) -> Result<Vec<Vec<u8>>, Error> {
+    ) -> Result<Vec<Option<Vec<u8>>>, Error> {
         let shards: Vec<Shard> = Shard::all(self.count()).collect();
-        let mut states: Vec<Option<Vec<u8>>> = vec![None; self.count()];
-        // Others are refused, as in the other stages: somebody may need them.
+        let mut states = vec![None; self.count()];
         for shard in workspace.with_tiles(Stage::Map) {
             let state = workspace.state_of(shard, recipe)?;
             if let Some(index) = shards.iter().position(|other| *other == shard) {
                 states[index] = state;
             }
         }
+        Ok(states)
+    }
+
+    /// The states of all parts, in order. Those that are not found are mapped, as many at once as
+    /// the memory holds, and get a tile.
+    pub(crate) fn states(
+        &self,
+        mut states: Vec<Option<Vec<u8>>>,
+        workspace: &Workspace,
+        recipe: &Recipe,
+        max_memory_bytes: Option<u64>,
+        watch: Watch,
+    ) -> Result<Vec<Vec<u8>>, Error> {
+        let shards: Vec<Shard> = Shard::all(self.count()).collect();
         let keep = |index: usize, state: Vec<u8>, watch: Watch| -> Result<Vec<u8>, Error> {
-            let mut tile = workspace.new_tile(Stage::Map, shards[index], recipe)?;
+            let mut tile = workspace.own_tile(Stage::Map, shards[index], recipe)?;
             tile.write_state(&state)?;
             tile.finish()?;
             let images = self.images[index].len();

@@ -1,5 +1,6 @@
 //! The workspace: a folder with a COLMAP project and a few files of this program.
 
+pub(crate) mod control_report;
 pub(crate) mod database_scene;
 pub(crate) mod dense_names;
 pub(crate) mod file_marks;
@@ -23,6 +24,7 @@ pub(crate) mod unregistered;
 pub(crate) mod verdict;
 pub(crate) mod warning;
 
+pub use control_report::{ControlPointReport, ControlReport, PointStatistics};
 pub use database_scene::read_scene;
 pub use dense_names::{DenseNames, MapKind, depth_map_path};
 pub use file_marks::PLY_MARK;

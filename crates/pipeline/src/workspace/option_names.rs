@@ -37,6 +37,8 @@ pub(crate) const PAIRS: &str = "match.pairs";
 pub(crate) const PAIRS_OF_DATABASE: &str = "database";
 /// Key of measured positions.
 pub(crate) const POSITION_PRIORS_KEY: &str = "mapper.position_priors";
+/// Key of control points.
+pub(crate) const CONTROL_POINTS_KEY: &str = "mapper.control_points";
 /// Key of the file of known rigs.
 pub(crate) const RIG_CALIBRATION_KEY: &str = "mapper.rig_calibration";
 /// Key that tells whether known extrinsics are refined.

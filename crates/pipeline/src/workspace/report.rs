@@ -6,6 +6,7 @@ use tiepoint_sfm::MappedModel;
 use tiepoint_sfm::scene::{Camera, CameraId};
 use tiepoint_store::{Error as StoreError, require_regular_file};
 
+use crate::workspace::control_report::ControlReport;
 use crate::workspace::file_names::DENSE_CLOUD;
 use crate::workspace::format::finite;
 use crate::workspace::overlay_report::OverlayReport;
@@ -181,6 +182,9 @@ pub struct ModelReport {
     /// How the model lies to measured positions, if it is in their frame.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub positions: Option<PositionReport>,
+    /// The control points and check points, if the model was adjusted together with them.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub control_points: Option<ControlReport>,
 }
 
 /// A camera.
@@ -305,6 +309,7 @@ impl ModelReport {
             failed: Vec::new(),
             scale: None,
             positions: None,
+            control_points: None,
         }
     }
 }

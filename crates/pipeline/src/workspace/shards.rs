@@ -3,22 +3,28 @@
 //!
 //! Each writes one tile into a hidden folder of the workspace, and nothing else. The stage itself,
 //! without a shard, takes the tiles of all shards into the database and removes them when it is
-//! complete. Until then the tiles are the result.
+//! complete. Until then the tiles are the result. A stage that keeps parts of its own work as tiles
+//! owns these, and discards those that it cannot use.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
+use tiepoint_io::Result as IoResult;
 use tiepoint_io::database::{TileReader, TileWriter};
 use tiepoint_store::Error as StoreError;
-use tiepoint_store::disk::temporary_path;
+use tiepoint_store::disk::{Folder, temporary_path};
 
 use crate::shard::Shard;
 use crate::workspace::folder::Workspace;
 use crate::workspace::records::Recipe;
 use crate::{Error, Stage};
 
+/// What the content of tiles means, and by which computation it came about. A change that gives
+/// features, matches or states of sub-maps other bytes, or another meaning, within one version of
+/// the program raises it: tiles of both would give a result that no run has.
+const FORMAT: u32 = 1;
 /// Folder of the tiles.
 pub(crate) const TILES: &str = ".tiepoint-tiles";
 
@@ -60,21 +66,31 @@ pub struct ShardReport {
 struct Label {
     /// The version of the program.
     version: String,
+    /// [`FORMAT`]; builds before it had none.
+    #[serde(default)]
+    format: u32,
     stage: Stage,
     shard: String,
+    /// Whether the stage made it for itself, to go on after a kill, and no process for the shard.
+    #[serde(default)]
+    is_own: bool,
     recipe: Recipe,
 }
 
 impl Label {
     fn new(stage: Stage, shard: Shard, recipe: &Recipe) -> Self {
-        let version = env!("CARGO_PKG_VERSION").to_owned();
-        Self { version, stage, shard: shard.to_string(), recipe: recipe.clone() }
+        let (version, shard) = (env!("CARGO_PKG_VERSION").to_owned(), shard.to_string());
+        Self { version, format: FORMAT, stage, shard, is_own: false, recipe: recipe.clone() }
     }
 
     /// Why a tile with this label is not the one with another; `None` if it is.
     fn why_not(&self, asked: &Self) -> Option<String> {
         if self.version != asked.version {
             return Some(format!("was made by version {}", self.version));
+        }
+        if self.format != asked.format {
+            let formats = format!("tiles of format {} and not {}", self.format, asked.format);
+            return Some(format!("was made by another build of this version, with {formats}"));
         }
         if (self.stage, &self.shard) != (asked.stage, &asked.shard) {
             return Some(format!("is a copy of shard {} of {}", self.shard, self.stage));
@@ -85,6 +101,13 @@ impl Label {
         let how = difference.or_else(|| is_other.then(|| "from other photos".to_owned()))?;
         Some(format!("was made {how}"))
     }
+}
+
+/// The tiles of all shards of a stage, which were complete and of its recipe.
+pub(crate) struct CheckedTiles {
+    stage: Stage,
+    recipe: Recipe,
+    shards: Vec<Shard>,
 }
 
 /// What there is of a shard.
@@ -120,33 +143,38 @@ impl Workspace {
         if !is_redone && self.tile_of(stage, shard, recipe)?.is_some() {
             return Ok(kept(report.tile.clone()));
         }
-        let tile = self.new_tile(stage, shard, recipe)?;
+        let tile = self.new_tile(stage, shard, &Label::new(stage, shard, recipe))?;
         Ok(ShardWork::Begin(Box::new(tile), report))
     }
 
-    /// Begins the tile of a shard, in place of one that there is.
+    /// Begins the tile of a shard that the stage makes for itself, in place of one that there is.
     ///
     /// # Errors
     ///
     /// It cannot be written.
-    pub(crate) fn new_tile(
+    pub(crate) fn own_tile(
         &self,
         stage: Stage,
         shard: Shard,
         recipe: &Recipe,
     ) -> Result<TileWriter, Error> {
+        let label = Label { is_own: true, ..Label::new(stage, shard, recipe) };
+        self.new_tile(stage, shard, &label)
+    }
+
+    fn new_tile(&self, stage: Stage, shard: Shard, label: &Label) -> Result<TileWriter, Error> {
         let folder = self.folder.folder();
         folder.create_folders(TILES).map_err(StoreError::output(&folder.join(TILES)))?;
-        let label = Label::new(stage, shard, recipe);
-        let text = serde_json::to_vec(&label).expect("texts have a JSON form");
+        let text = serde_json::to_vec(label).expect("texts have a JSON form");
         Ok(TileWriter::create(folder, &tile_name(stage, shard), &text)?)
     }
 
-    /// The tile of a shard; `None` if there is none.
+    /// The tile of a shard; `None` if there is none, or one of another recipe that the stage made
+    /// for itself.
     ///
     /// # Errors
     ///
-    /// It cannot be read, is damaged, or is of another recipe.
+    /// It cannot be read, is damaged, or a process for the shard made it of another recipe.
     pub(crate) fn tile_of(
         &self,
         stage: Stage,
@@ -156,17 +184,28 @@ impl Workspace {
         if !self.folder.folder().has(tile_name(stage, shard)) {
             return Ok(None);
         }
-        self.tile(stage, shard, &Label::new(stage, shard, recipe)).map(Some)
+        let (found, label) = self.labelled(stage, shard, TileReader::open)?;
+        match label.why_not(&Label::new(stage, shard, recipe)) {
+            Some(_) if label.is_own => Ok(None),
+            Some(why) => Err(self.wrong(stage, shard, why)),
+            None => Ok(Some(found)),
+        }
     }
 
     /// Opens the tile of a shard.
     ///
     /// # Errors
     ///
-    /// It cannot be read, is damaged, or has another label.
-    fn tile(&self, stage: Stage, shard: Shard, label: &Label) -> Result<TileReader, Error> {
-        let (found, found_label) = self.labelled(stage, shard)?;
-        match found_label.why_not(label) {
+    /// Those of [`Workspace::labelled`]; it has another label.
+    fn tile(
+        &self,
+        stage: Stage,
+        shard: Shard,
+        recipe: &Recipe,
+        open: impl FnOnce(&Folder, &str) -> IoResult<Option<TileReader>>,
+    ) -> Result<TileReader, Error> {
+        let (found, label) = self.labelled(stage, shard, open)?;
+        match label.why_not(&Label::new(stage, shard, recipe)) {
             Some(why) => Err(self.wrong(stage, shard, why)),
             None => Ok(found),
         }
@@ -176,11 +215,15 @@ impl Workspace {
     ///
     /// # Errors
     ///
-    /// It cannot be read or is damaged.
-    fn labelled(&self, stage: Stage, shard: Shard) -> Result<(TileReader, Label), Error> {
+    /// It cannot be read, or is damaged as far as `open` looks.
+    fn labelled(
+        &self,
+        stage: Stage,
+        shard: Shard,
+        open: impl FnOnce(&Folder, &str) -> IoResult<Option<TileReader>>,
+    ) -> Result<(TileReader, Label), Error> {
         let damaged = || self.wrong(stage, shard, "is damaged".to_owned());
-        let found = TileReader::open(self.folder.folder(), &tile_name(stage, shard))?;
-        let found = found.ok_or_else(damaged)?;
+        let found = open(self.folder.folder(), &tile_name(stage, shard))?.ok_or_else(damaged)?;
         let label = serde_json::from_slice(found.text()).map_err(|_| damaged())?;
         Ok((found, label))
     }
@@ -228,47 +271,52 @@ impl Workspace {
         Ok(found.into_iter().collect())
     }
 
-    /// Checks that all of a number of shards have tiles of a recipe.
+    /// The sentence that the first of a number of shards without a tile is missing, if one is.
     ///
     /// # Errors
     ///
-    /// One has none, or one that is damaged or of another recipe.
-    pub(crate) fn require_tiles(
-        &self,
-        stage: Stage,
-        count: usize,
-        recipe: &Recipe,
-    ) -> Result<(), Error> {
-        let mut first = None;
-        let mut there = 0;
-        for shard in Shard::all(count) {
-            match self.tile_of(stage, shard, recipe)? {
-                Some(_) => there += 1,
-                None => first = first.or(Some(shard)),
-            }
-        }
+    /// That it is missing.
+    pub(crate) fn require_all<T>(&self, stage: Stage, tiles: &[Option<T>]) -> Result<(), Error> {
+        let there = tiles.iter().flatten().count();
+        let mut missing = Shard::all(tiles.len()).zip(tiles).filter(|(_, tile)| tile.is_none());
         let path = self.root().join(TILES);
-        first.map_or(Ok(()), |shard| Err(Error::MissingShard { path, stage, shard, there }))
+        missing
+            .next()
+            .map_or(Ok(()), |(shard, _)| Err(Error::MissingShard { path, stage, shard, there }))
     }
 
-    /// Takes the tiles of all shards of a stage, one after the other; none if there are none.
+    /// Checks the tiles of all shards of a stage; there may be none at all.
     ///
     /// # Errors
     ///
-    /// Those of `take`; a shard is missing, damaged or of another recipe.
+    /// A shard is missing, damaged or of another recipe.
+    pub(crate) fn check_tiles(&self, stage: Stage, recipe: &Recipe) -> Result<CheckedTiles, Error> {
+        let shards = self.shards(stage)?;
+        for shard in &shards {
+            self.tile(stage, *shard, recipe, TileReader::open)?;
+        }
+        Ok(CheckedTiles { stage, recipe: recipe.clone(), shards })
+    }
+
+    /// Takes tiles that were checked, one after the other. Their content is not hashed again: who
+    /// takes them holds the workspace alone since then.
+    ///
+    /// # Errors
+    ///
+    /// Those of `take`; a tile is gone, or another one.
     pub(crate) fn for_each_tile(
         &self,
-        stage: Stage,
-        recipe: &Recipe,
+        CheckedTiles { stage, recipe, shards }: &CheckedTiles,
         mut take: impl FnMut(TileReader) -> Result<(), Error>,
     ) -> Result<(), Error> {
-        let take = |shard| take(self.tile(stage, shard, &Label::new(stage, shard, recipe))?);
-        self.shards(stage)?.into_iter().try_for_each(take)
+        let open = TileReader::open_unchecked;
+        shards.iter().try_for_each(|shard| take(self.tile(*stage, *shard, recipe, open)?))
     }
 
-    /// Removes the tiles of a recipe of a stage that is complete, and their folder if it is empty
-    /// then. Returns a sentence on those that stay: damaged ones and those of other recipes, which
-    /// wait for a run with `redo`.
+    /// Removes the tiles of a recipe of a stage that is complete and those that it made for itself,
+    /// and their folder if it is empty then. Returns a sentence on those that stay: ones without a
+    /// readable begin, and those of other recipes, which wait for a run with `redo`. Of all of them
+    /// the begin alone is read.
     ///
     /// # Errors
     ///
@@ -280,7 +328,8 @@ impl Workspace {
     ) -> Result<Option<String>, Error> {
         let (mut own, mut others) = (BTreeSet::new(), Vec::new());
         for shard in self.with_tiles(stage) {
-            let why = match self.labelled(stage, shard) {
+            let why = match self.labelled(stage, shard, TileReader::open_unchecked) {
+                Ok((_, label)) if label.is_own => None,
                 Ok((_, label)) => {
                     label.recipe.difference(recipe, stage).map(|how| format!("was made {how}"))
                 }
@@ -300,6 +349,24 @@ impl Workspace {
                 self.root().join(TILES).display()
             )
         }))
+    }
+
+    /// Removes the tiles that a stage made for itself, whatever their recipe.
+    ///
+    /// # Errors
+    ///
+    /// They cannot be read or removed.
+    pub(crate) fn remove_own_tiles(&self, stage: Stage) -> Result<(), Error> {
+        let mut own = BTreeSet::new();
+        for shard in self.with_tiles(stage) {
+            match self.labelled(stage, shard, TileReader::open_unchecked) {
+                Ok((_, label)) => drop(label.is_own.then(|| own.insert(shard))),
+                // Whose it is cannot be told.
+                Err(Error::Tile { .. }) => {}
+                Err(error) => return Err(error),
+            }
+        }
+        self.remove_shards(stage, own)
     }
 
     /// Removes the tiles of shards, what killed shards had begun, and the folder if it is empty
@@ -342,14 +409,101 @@ mod tests {
         }
     }
 
+    fn recipe(photos: &str) -> Recipe {
+        Recipe::new("input".to_owned(), [("found.photos", photos.to_owned())])
+    }
+
+    fn shard() -> Shard {
+        "1/1".parse().unwrap()
+    }
+
     #[test]
     fn label_differs_if_what_was_found_does() {
-        let label = |photos: &str| {
-            let shard = "2/8".parse().unwrap();
-            let options = [("found.photos", photos.to_owned())];
-            Label::new(Stage::Features, shard, &Recipe::new("input".to_owned(), options))
-        };
+        let label = |photos: &str| Label::new(Stage::Features, shard(), &recipe(photos));
         assert_eq!(label("a").why_not(&label("a")), None);
         assert_eq!(label("a").why_not(&label("b")).unwrap(), "was made from other photos");
+    }
+
+    fn workspace() -> (tempfile::TempDir, Workspace) {
+        let dir = tempfile::tempdir().unwrap();
+        let workspace = Workspace::create(&dir.path().join("ws")).unwrap();
+        (dir, workspace)
+    }
+
+    #[test]
+    fn tile_of_another_build_of_the_version_is_refused() {
+        let (_dir, workspace) = workspace();
+        let (stage, recipe) = (Stage::Match, recipe("a"));
+        let mut label = serde_json::to_value(Label::new(stage, shard(), &recipe)).unwrap();
+        let mut refused = |format: Option<u32>| {
+            let fields = label.as_object_mut().unwrap();
+            fields.remove("format");
+            fields.extend(format.map(|format| ("format".to_owned(), format.into())));
+            let label = serde_json::from_value(label.clone()).unwrap();
+            workspace.new_tile(stage, shard(), &label).unwrap().finish().unwrap();
+            let found = workspace.check_tiles(stage, &recipe);
+            found.map(drop).map_err(|error| error.to_string())
+        };
+        assert_eq!(refused(Some(FORMAT)), Ok(()));
+        for (format, number) in [(None, 0), (Some(FORMAT + 1), FORMAT + 1)] {
+            let error = refused(format).unwrap_err();
+            let what = format!(
+                "match-1-of-1 was made by another build of this version, with tiles \
+                of format {number} and not {FORMAT}"
+            );
+            assert!(error.contains(&what), "{error}");
+        }
+    }
+
+    #[test]
+    fn tiles_that_a_stage_made_for_itself_are_no_obstacle() {
+        let (_dir, workspace) = workspace();
+        let (stage, [old, new]) = (Stage::Map, ["a", "b"].map(recipe));
+        let is_there =
+            |recipe: &Recipe| workspace.tile_of(stage, shard(), recipe).map(|tile| tile.is_some());
+        workspace.own_tile(stage, shard(), &old).unwrap().finish().unwrap();
+        assert!(is_there(&old).unwrap() && !is_there(&new).unwrap());
+        workspace.remove_own_tiles(stage).unwrap();
+        assert!(!is_there(&old).unwrap());
+        // That of a process for the shard is.
+        let label = Label::new(stage, shard(), &old);
+        workspace.new_tile(stage, shard(), &label).unwrap().finish().unwrap();
+        workspace.remove_own_tiles(stage).unwrap();
+        assert!(is_there(&old).unwrap());
+        assert!(matches!(is_there(&new), Err(Error::Tile { .. })));
+    }
+
+    /// Bytes that this thread has read from files.
+    #[cfg(target_os = "linux")]
+    fn bytes_read() -> usize {
+        let counters = fs::read_to_string("/proc/thread-self/io").unwrap();
+        counters.lines().find_map(|line| line.strip_prefix("rchar: ")).unwrap().parse().unwrap()
+    }
+
+    /// Once for its hash and once for its content.
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn tile_of_a_complete_stage_is_read_twice_at_most() {
+        const STATE_BYTES: usize = 1 << 22;
+        let (_dir, workspace) = workspace();
+        let (stage, recipe) = (Stage::Match, recipe("a"));
+        let label = Label::new(stage, shard(), &recipe);
+        let mut tile = workspace.new_tile(stage, shard(), &label).unwrap();
+        tile.write_state(&vec![7; STATE_BYTES]).unwrap();
+        tile.finish().unwrap();
+        let before = bytes_read();
+        let tiles = workspace.check_tiles(stage, &recipe).unwrap();
+        let mut taken = 0;
+        let take = |mut tile: TileReader| {
+            taken += tile.read_state()?.len();
+            Ok(())
+        };
+        workspace.for_each_tile(&tiles, take).unwrap();
+        assert_eq!(workspace.remove_tiles_of(stage, &recipe).unwrap(), None);
+        assert!(workspace.with_tiles(stage).is_empty());
+        assert_eq!(taken, STATE_BYTES);
+        let times = (bytes_read() - before) as f64 / STATE_BYTES as f64;
+        // What is read of the folder and of the labels is a hundredth.
+        assert!(times < 2.1, "{times} times");
     }
 }

@@ -335,7 +335,12 @@ pub(super) fn first_similarity(pairs: &mut [Pair], samples: usize, seed: u64) ->
 type Solve<'a> = &'a dyn Fn(&[Vector3<f64>], &[Vector3<f64>]) -> Option<Sim3>;
 
 /// The first similarity of positions with heights.
-fn spatial(pairs: &[Pair], keeps_scale: bool, samples: usize, seed: u64) -> Option<Sim3> {
+pub(super) fn spatial(
+    pairs: &[Pair],
+    keeps_scale: bool,
+    samples: usize,
+    seed: u64,
+) -> Option<Sim3> {
     let with_height: Vec<&Pair> = pairs.iter().filter(|pair| pair.has_height()).collect();
     least_median(pairs, &with_height, samples, seed, &|found, measured| {
         umeyama(found, measured, !keeps_scale).or_else(|| along(found, measured, keeps_scale))
@@ -492,7 +497,12 @@ pub(super) struct Free(SMatrix<f64, 7, 7>);
 impl Free {
     /// All directions.
     pub(super) fn all() -> Self {
-        Self(SMatrix::identity())
+        Self::all_but_scale(false)
+    }
+
+    /// All directions; with `keeps_scale` without the scale.
+    pub(super) fn all_but_scale(keeps_scale: bool) -> Self {
+        Self::new(&Matrix3::identity(), keeps_scale, true)
     }
 
     /// Rotations in the range of a projection.

@@ -2,22 +2,23 @@
 
 use tiepoint_geometry::nalgebra::{Matrix3, SVector, Vector2, Vector3};
 use tiepoint_geometry::triangulate::{ViewRay, triangulate};
-use tiepoint_geometry::{Sim3, solvers};
+use tiepoint_geometry::{Rigid3, Sim3, solvers};
 use tiepoint_scene::{ImageId, Reconstruction};
 
 use super::alignment::{Free, Pair, axes_of, is_upside_down, refined};
+use crate::rolling_shutter::{RollingShutter, row_poses};
 
-/// Largest distance of a mark from its point in the image: four deviations of marks by hand.
-const MAX_MARK_PX: f64 = 12.0;
-/// Standard deviation of a mark by hand.
-const MARK_PX: f64 = 3.0;
+/// Largest distance of a mark from its point in the image, in deviations, and the least deviation
+/// that counts there, in pixels: the model has errors, too.
+const MAX_MARK_SIGMAS: f64 = 4.0;
+const MIN_MARK_PX: f64 = 1.0;
 /// Least angle between two rays to a point (1.5°).
 const MIN_ANGLE_RAD: f64 = 0.026;
 /// Fewest points: three determine a similarity.
-const MIN_POINTS: usize = 3;
+pub(super) const MIN_POINTS: usize = 3;
 /// Largest standard deviation of a rotation (3°), and of the logarithm of the scale, that is of
 /// use: as far from the points as they are from each other, an error of a twentieth of that.
-const MAX_SD: f64 = 0.05;
+pub(super) const MAX_SD: f64 = 0.05;
 /// Normal quantile of one in a thousand.
 const QUANTILE: f64 = 3.09;
 
@@ -26,10 +27,12 @@ const QUANTILE: f64 = 3.09;
 pub struct MarkedPoint {
     /// Its measured coordinates, in a metric frame.
     pub xyz: Vector3<f64>,
-    /// Their standard deviation along each axis, in metres.
-    pub sigma_m: f64,
+    /// Their standard deviations along the axes, in metres.
+    pub sigmas_m: Vector3<f64>,
     /// Whether it only tells of errors.
     pub is_check: bool,
+    /// Standard deviation of the coordinates of a mark, in pixels.
+    pub mark_sigma_px: f64,
     /// The images in which it is marked, with the pixels.
     pub marks: Vec<(ImageId, Vector2<f64>)>,
 }
@@ -37,8 +40,13 @@ pub struct MarkedPoint {
 /// A point after the alignment.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PointError {
-    /// Number of marks in images with a pose, and of those that agree on one point.
-    pub marks: [usize; 2],
+    /// Number of marks in images with a pose.
+    pub num_marks: usize,
+    /// Images with a pose whose marks do not agree with the others.
+    pub wrong_marks: Vec<ImageId>,
+    /// Root mean square distance of the other marks from the projections of the point, in pixels;
+    /// `None` if the marks do not determine it.
+    pub rms_px: Option<f64>,
     /// Its place in the model minus the measured one, in metres; `None` if the marks do not
     /// determine it.
     pub error_m: Option<Vector3<f64>>,
@@ -67,6 +75,13 @@ pub enum ControlMisfit {
     },
     /// The model would be upside down: flat points are mirrored, as by swapped coordinates.
     UpsideDown,
+    /// Most of them are so far from their places in the model that no adjustment explains it.
+    Contradiction {
+        /// Robust standard deviation of a coordinate, in metres.
+        sigma_m: f64,
+        /// Median distance of the points from their median, in metres.
+        extent_m: f64,
+    },
 }
 
 /// A model in the frame of control points.
@@ -78,11 +93,97 @@ pub struct ControlAlignment {
     pub points: Vec<PointError>,
 }
 
-/// A point that its marks determine in the model, with the covariance of marks by hand.
-struct Found {
-    xyz: Vector3<f64>,
+/// A point that its marks determine in the model, with the covariance of its marks.
+pub(super) struct Found {
+    pub(super) xyz: Vector3<f64>,
     covariance: Matrix3<f64>,
-    num_inliers: usize,
+    /// Indices of the marks that agree.
+    pub(super) inliers: Vec<usize>,
+    rms_px: f64,
+}
+
+/// The points with their marks where a global shutter would show them, for a model whose cameras
+/// have rolling shutters and whose keypoints are corrected for them.
+pub fn with_global_shutter(
+    model: &Reconstruction,
+    shutters: &[RollingShutter],
+    points: &[MarkedPoint],
+) -> Vec<MarkedPoint> {
+    let rows = row_poses(model, shutters);
+    let pose_of_row = |(image, pixel): &(ImageId, Vector2<f64>)| {
+        let middle = model.image(*image).cam_from_world()?;
+        Some(rows.get(image).map_or(*middle, |rows| rows.cam_from_world(middle, pixel.y)))
+    };
+    let shifted = |point: &MarkedPoint| {
+        let poses: Vec<Option<Rigid3>> = point.marks.iter().map(pose_of_row).collect();
+        let ray = |((image, pixel), pose): (&(ImageId, Vector2<f64>), &'_ Option<Rigid3>)| {
+            Some((*image, *pixel, (*pose)?))
+        };
+        let posed: Vec<(ImageId, Vector2<f64>, Rigid3)> =
+            point.marks.iter().zip(&poses).filter_map(ray).collect();
+        let rays: Vec<ViewRay> = posed
+            .iter()
+            .filter_map(|(image, pixel, pose)| {
+                ViewRay::new(pose, &model.camera_of(*image).intrinsics, *pixel)
+            })
+            .collect();
+        let found = triangulate(&rays, max_error_px(point), MIN_ANGLE_RAD);
+        let shift = |(image, pose): (ImageId, &Option<Rigid3>)| {
+            let (xyz, intrinsics) = (found.as_ref()?.xyz, &model.camera_of(image).intrinsics);
+            let still = intrinsics.project(&(*model.image(image).cam_from_world()? * xyz))?;
+            Some(intrinsics.displacement(&intrinsics.project(&((*pose)? * xyz))?, &still))
+        };
+        let marks = point.marks.iter().zip(&poses).map(|((image, pixel), pose)| {
+            (*image, pixel - shift((*image, pose)).unwrap_or_default())
+        });
+        MarkedPoint { marks: marks.collect(), ..point.clone() }
+    };
+    match rows.is_empty() {
+        true => points.to_vec(),
+        false => points.iter().map(shifted).collect(),
+    }
+}
+
+/// Largest distance of a mark from its point, in pixels.
+fn max_error_px(point: &MarkedPoint) -> f64 {
+    MAX_MARK_SIGMAS * point.mark_sigma_px.max(MIN_MARK_PX)
+}
+
+/// The places of points in a model; `None` where the marks do not determine one.
+pub(super) fn places(model: &Reconstruction, points: &[MarkedPoint]) -> Vec<Option<Found>> {
+    points.iter().map(|point| in_model(model, point)).collect()
+}
+
+/// The errors of points in a model in their frame.
+pub fn point_errors(model: &Reconstruction, points: &[MarkedPoint]) -> Vec<PointError> {
+    let found = places(model, points);
+    errors(model, points, &found, &Sim3::identity(), &|_| true)
+}
+
+/// The errors of points after a similarity; `is_used` of their indices tells which took part.
+pub(super) fn errors(
+    model: &Reconstruction,
+    points: &[MarkedPoint],
+    found: &[Option<Found>],
+    similarity: &Sim3,
+    is_used: &dyn Fn(usize) -> bool,
+) -> Vec<PointError> {
+    let of_point = |(k, point): (usize, &MarkedPoint)| {
+        let found = found[k].as_ref();
+        let posed = point.marks.iter().enumerate().filter(|(_, mark)| has_pose(model, mark.0));
+        let disagrees = |index: usize| found.is_some_and(|found| !found.inliers.contains(&index));
+        let wrong = posed.clone().filter(|(index, _)| disagrees(*index));
+        PointError {
+            num_marks: posed.clone().count(),
+            wrong_marks: wrong.map(|(_, mark)| mark.0).collect(),
+            rms_px: found.map(|found| found.rms_px),
+            error_m: found.map(|found| *similarity * found.xyz - point.xyz),
+            sigmas_m: found
+                .map_or(Vector3::repeat(f64::INFINITY), |found| sigmas(point, found, similarity)),
+            is_wrong: found.is_some() && !point.is_check && !is_used(k),
+        }
+    };
+    points.iter().enumerate().map(of_point).collect()
 }
 
 /// The similarity that brings the marked points of a model to their measured coordinates. A point
@@ -96,7 +197,7 @@ pub fn align_to_points(
     model: &Reconstruction,
     points: &[MarkedPoint],
 ) -> Result<ControlAlignment, ControlMisfit> {
-    let found: Vec<Option<Found>> = points.iter().map(|point| in_model(model, point)).collect();
+    let found = places(model, points);
     let mut used: Vec<usize> =
         (0..points.len()).filter(|&k| found[k].is_some() && !points[k].is_check).collect();
     let fit = |used: &[usize]| fit(points, &found, used);
@@ -118,18 +219,7 @@ pub fn align_to_points(
     if is_upside_down(&axes_of(model), &similarity, &places) {
         return Err(ControlMisfit::UpsideDown);
     }
-    let of_point = |(k, point): (usize, &MarkedPoint)| {
-        let registered = point.marks.iter().filter(|(image, _)| has_pose(model, *image)).count();
-        let found = found[k].as_ref();
-        PointError {
-            marks: [registered, found.map_or(0, |found| found.num_inliers)],
-            error_m: found.map(|found| similarity * found.xyz - point.xyz),
-            sigmas_m: found
-                .map_or(Vector3::repeat(f64::INFINITY), |found| sigmas(point, found, &similarity)),
-            is_wrong: found.is_some() && !point.is_check && !used.contains(&k),
-        }
-    };
-    let points = points.iter().enumerate().map(of_point).collect();
+    let points = errors(model, points, &found, &similarity, &|k| used.contains(&k));
     Ok(ControlAlignment { term_from_model: similarity, points })
 }
 
@@ -138,32 +228,59 @@ fn has_pose(model: &Reconstruction, image: ImageId) -> bool {
 }
 
 fn in_model(model: &Reconstruction, point: &MarkedPoint) -> Option<Found> {
-    let of_mark = |(image, pixel): &(ImageId, Vector2<f64>)| {
+    let of_mark = |(index, (image, pixel)): (usize, &(ImageId, Vector2<f64>))| {
         let pose = model.image(*image).cam_from_world()?;
         let intrinsics = &model.camera_of(*image).intrinsics;
-        Some((*image, ViewRay::new(pose, intrinsics, *pixel)?))
+        Some((index, ViewRay::new(pose, intrinsics, *pixel)?))
     };
-    let (images, rays): (Vec<ImageId>, Vec<ViewRay>) =
-        point.marks.iter().filter_map(of_mark).unzip();
-    let found = triangulate(&rays, MAX_MARK_PX, MIN_ANGLE_RAD)?;
-    let mut information = Matrix3::zeros();
-    for &k in &found.inliers {
-        let camera = model.camera_of(images[k]);
-        let from_centre = found.xyz - model.image(images[k]).cam_from_world()?.origin_in_a();
-        let direction = from_centre.normalize();
-        let sigma = MARK_PX / camera.intrinsics.mean_focal_px() * from_centre.norm();
-        information += (Matrix3::identity() - direction * direction.transpose()) / sigma.powi(2);
+    let (marks, rays): (Vec<usize>, Vec<ViewRay>) =
+        point.marks.iter().enumerate().filter_map(of_mark).unzip();
+    let first = triangulate(&rays, max_error_px(point), MIN_ANGLE_RAD)?;
+    let inliers: Vec<usize> = first.inliers.iter().map(|&k| marks[k]).collect();
+    let (xyz, covariance) = nearest(model, point, &inliers, first.xyz)?;
+    let squared_px2 = |&k: &usize| {
+        let (image, pixel) = point.marks[k];
+        let in_camera = *model.image(image).cam_from_world()? * xyz;
+        model.camera_of(image).intrinsics.squared_error_px2(&in_camera, &pixel)
+    };
+    let sum_px2 = inliers.iter().map(squared_px2).sum::<Option<f64>>()?;
+    Some(Found { xyz, covariance, rms_px: (sum_px2 / inliers.len() as f64).sqrt(), inliers })
+}
+
+/// The point nearest to the rays of some marks, whose deviations grow with their distances, and its
+/// covariance.
+fn nearest(
+    model: &Reconstruction,
+    point: &MarkedPoint,
+    marks: &[usize],
+    mut xyz: Vector3<f64>,
+) -> Option<(Vector3<f64>, Matrix3<f64>)> {
+    let mut covariance = Matrix3::zeros();
+    // The distances of the second round are right to the second order.
+    for _ in 0..2 {
+        let (mut information, mut sum) = (Matrix3::zeros(), Vector3::zeros());
+        for &(image, pixel) in marks.iter().map(|&k| &point.marks[k]) {
+            let pose = model.image(image).cam_from_world()?;
+            let intrinsics = &model.camera_of(image).intrinsics;
+            let direction = pose.rotation.inverse() * intrinsics.unproject(&pixel)?.normalize();
+            let centre = pose.origin_in_a();
+            let sigma = point.mark_sigma_px / intrinsics.mean_focal_px() * (xyz - centre).norm();
+            let across = Matrix3::identity() - direction * direction.transpose();
+            information += across / sigma.powi(2);
+            sum += across * centre / sigma.powi(2);
+        }
+        covariance = information.try_inverse()?;
+        xyz = covariance * sum;
     }
-    let covariance = information.try_inverse()?;
-    Some(Found { xyz: found.xyz, covariance, num_inliers: found.inliers.len() })
+    Some((xyz, covariance))
 }
 
 /// Deviations of the error of a point in the measured frame.
-fn sigmas(point: &MarkedPoint, found: &Found, similarity: &Sim3) -> Vector3<f64> {
+pub(super) fn sigmas(point: &MarkedPoint, found: &Found, similarity: &Sim3) -> Vector3<f64> {
     let rotation = similarity.rotation.to_rotation_matrix();
     let covariance = rotation * found.covariance * rotation.inverse();
     let variances = covariance.diagonal() * similarity.scale.powi(2);
-    variances.map(|variance| (variance + point.sigma_m.powi(2)).sqrt())
+    variances.zip_map(&point.sigmas_m, |variance, sigma_m| (variance + sigma_m.powi(2)).sqrt())
 }
 
 /// The similarity of these points, and the sum of the squared residuals in their deviations.

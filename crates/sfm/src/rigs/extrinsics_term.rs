@@ -65,6 +65,7 @@ impl Term for ExtrinsicsTerm<'_> {
     /// standard deviations of priors are divided by the noise of the keypoints.
     fn add(&mut self, context: &TermContext, variables: &mut Variables) -> Result<(), Error> {
         let TermContext { model, noise, .. } = *context;
+        self.keys.clear();
         let keys: BTreeMap<ImageId, Key<Rigid3>> = variables.poses().iter().copied().collect();
         let key = |image: &ImageId| keys.get(image).copied();
         for (index, extrinsics) in self.all_extrinsics.iter().enumerate() {

@@ -21,6 +21,7 @@ mod rigid;
 mod saved;
 mod sensor_pair;
 mod sigma_selection;
+mod soft_rig;
 mod solution;
 mod succession;
 
@@ -36,5 +37,6 @@ pub use paper::{BaselineLink, BaselineTerm, LinkWeights, final_links, growing_li
 pub use rematch::Descriptors;
 pub use rigid::{RigidCamera, constrain_rigidly};
 pub use sensor_pair::{ClockState, ReferencePose, ReferencedImage, SensorPair, sensor_pairs};
+pub use soft_rig::SoftRig;
 pub use solution::{CalibratedCamera, CalibratedRig, ConstraintLimit, SplitRepair};
 pub use succession::successive_cameras;

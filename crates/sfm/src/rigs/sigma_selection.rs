@@ -133,27 +133,20 @@ impl Context<'_> {
         let (mut least, mut least_px) = (model.clone(), comparison.error_off_px);
         for step in 0..MAX_STEPS {
             let merge_error_factor = if step == 0 { MERGE_ERROR_FACTOR } else { 1.0 };
-            let (mut constrained, tolerance) = self.constrain_softly(
-                model,
-                sensor_pairs,
-                sigmas,
-                unmatched,
-                merge_error_factor,
-                comparison,
-            )?;
+            let mut constrain = |sigmas| {
+                self.constrain_softly(
+                    model,
+                    sensor_pairs,
+                    sigmas,
+                    unmatched,
+                    merge_error_factor,
+                    comparison,
+                )
+            };
+            let (mut constrained, tolerance) = constrain(sigmas)?;
             // The tracks of a split fit its extrinsics only when they are created again.
             let has_split = tolerance == SPLIT_TOLERANCE;
             if !(is_flexible || has_split) && is_costly(&constrained, &least, comparison) {
-                let constrain = |sigmas| {
-                    self.constrain_softly(
-                        model,
-                        sensor_pairs,
-                        sigmas,
-                        unmatched,
-                        merge_error_factor,
-                        comparison,
-                    )
-                };
                 is_flexible = loosen_rotation(&mut constrained, loosest, comparison, constrain)?;
                 sigmas = constrained.sigmas;
             }

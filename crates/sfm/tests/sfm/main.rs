@@ -6,6 +6,7 @@ mod all_around;
 mod checkpoints;
 mod clocks;
 mod common;
+mod control_points;
 mod known_rigs;
 mod lens;
 mod loop_closure;

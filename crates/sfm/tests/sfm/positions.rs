@@ -305,7 +305,8 @@ fn control_points_near_a_line_are_refused() {
             (image, centre + seen.xy() * (500.0 / seen.z))
         };
         let marks = truth.registered().map(mark).collect();
-        MarkedPoint { xyz, sigma_m: 0.01, is_check: false, marks }
+        let sigmas_m = Vector3::repeat(0.01);
+        MarkedPoint { xyz, sigmas_m, is_check: false, mark_sigma_px: 3.0, marks }
     };
     let model = moved(&truth);
     // A wall of 12 m and a depth of 15 m.
