@@ -339,7 +339,7 @@ pub(crate) struct Input {
         long,
         value_name = "FILE",
         conflicts_with_all = ["masks", "timestamps", "calibration", "intrinsics", "focal_prior",
-                              "camera_model", "cameras"]
+                              "camera_model", "cameras", "every", "max_megapixels"]
     )]
     pub(crate) database: Option<PathBuf>,
     /// Folder for intermediate files and results: a COLMAP project.

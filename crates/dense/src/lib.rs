@@ -18,4 +18,4 @@ pub use pinhole::PosedPinhole;
 pub use rows::PixelPoses;
 pub use tiepoint_geometry as geometry;
 pub use tiepoint_scene as scene;
-pub use view_selection::{StereoProblem, select_views};
+pub use view_selection::{StereoProblem, neighbours, select_views};

@@ -77,6 +77,22 @@ pub fn select_views(model: &Reconstruction, max_sources: usize) -> Vec<StereoPro
     model.registered().map(problem).collect()
 }
 
+/// The images that may see the surfaces of each image, for [`fuse`](crate::fusion::fuse): its
+/// sources, and those it is a source of.
+pub fn neighbours(problems: &[StereoProblem]) -> Vec<Vec<usize>> {
+    let sources =
+        |problem: &StereoProblem| problem.sources.iter().map(|image| image.index()).collect();
+    let mut neighbours: Vec<Vec<usize>> = problems.iter().map(sources).collect();
+    for (index, problem) in problems.iter().enumerate() {
+        for source in problem.sources.iter().map(|image| image.index()) {
+            if !neighbours[source].contains(&index) {
+                neighbours[source].push(index);
+            }
+        }
+    }
+    neighbours
+}
+
 /// The points that two images share.
 #[derive(Clone, Copy, Debug, Default)]
 struct SharedPoints {
@@ -156,6 +172,17 @@ mod tests {
         }
         let problems = select_views(&model, max_sources);
         problems.iter().map(|problem| problem.sources.iter().map(|id| id.0).collect()).collect()
+    }
+
+    #[test]
+    fn neighbours_are_mutual() {
+        let problem = |index: u32, sources: &[u32]| StereoProblem {
+            image: ImageId(index),
+            sources: sources.iter().copied().map(ImageId).collect(),
+            seeds: Vec::new(),
+        };
+        let found = neighbours(&[problem(0, &[2, 1]), problem(1, &[0]), problem(2, &[])]);
+        assert_eq!(found, [vec![2, 1], vec![0], vec![0]]);
     }
 
     #[test]

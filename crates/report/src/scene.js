@@ -118,15 +118,16 @@ function distanceToSeeAll({ views }, towards) {
   const right = new THREE.Vector3(0, 0, 1).cross(towards).normalize();
   const up = new THREE.Vector3().crossVectors(towards, right);
   const corner = new THREE.Vector3();
-  const wanted = images.flatMap(({ corners }) =>
-    [0, 1, 2, 3, 4].map(k => {
+  const wanted = images.map(({ corners }) => {
+    const distances = [0, 1, 2, 3, 4].map(k => {
       corner.fromArray(corners, 3 * k);
       const aside = Math.max(Math.abs(corner.dot(right)) / aspect, Math.abs(corner.dot(up)));
       return corner.dot(towards) + aside / slope;
-    }),
-  );
+    });
+    return Math.max(...distances);
+  });
   wanted.sort((a, b) => a - b);
-  const most = wanted.length ? wanted[Math.floor(0.98 * (wanted.length - 1))] : 0;
+  const most = wanted.length ? wanted[Math.ceil(0.98 * wanted.length) - 1] : 0;
   return Math.min(Math.max(START.nearest, most), START.farthest);
 }
 const reset = section => lookFrom(section, section.yaw, START.pitch);
@@ -191,7 +192,8 @@ function legend(cameras) {
   const line = ({ name, colour, images }) => {
     const hex = CAMERA_COLOURS[colour % CAMERA_COLOURS.length].toString(16).padStart(6, '0');
     const chip = element('span', { style: `background:#${hex}` });
-    return element('li', {}, chip, `${name}: ${images.length}`);
+    const plural = images.length === 1 ? '' : 's';
+    return element('li', {}, chip, `${name}: ${images.length} image${plural}`);
   };
   const more = cameras.length - most;
   const rest = more > 0 ? [element('li', {}, `and ${more} more cameras`)] : [];

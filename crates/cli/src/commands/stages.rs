@@ -26,6 +26,7 @@ pub(crate) fn reconstruct(args: &Reconstruct, output: &Output) -> Result<(), Fai
                 .to_owned(),
         ));
     }
+    check_max_size(&args.input, args.dense)?;
     let dense = args
         .dense
         .then(|| DenseOptions { max_image_size: args.input.max_size, ..DenseOptions::default() });
@@ -50,6 +51,7 @@ pub(crate) fn reconstruct(args: &Reconstruct, output: &Output) -> Result<(), Fai
 
 pub(crate) fn features(args: &Features, output: &Output) -> Result<(), Failure> {
     let redo = check_redo(args.redo, Stage::Features)?;
+    check_max_size(&args.input, false)?;
     let mut options = feature_options(&args.input, &args.cameras)?;
     let mut progress = Progress::new(output);
     let Input { inputs, output: root, masks, every, database, .. } = &args.input;
@@ -144,6 +146,18 @@ fn check_redo(redo: Option<Stage>, own: Stage) -> Result<Option<Stage>, Failure>
         ))),
         _ => Ok(redo),
     }
+}
+
+/// Checks that --max-size has something to reduce: keypoints of a database are given.
+fn check_max_size(input: &Input, has_dense: bool) -> Result<(), Failure> {
+    if input.database.is_none() || input.max_size.is_none() || has_dense {
+        return Ok(());
+    }
+    Err(Failure::Usage(
+        "--max-size reduces photos before keypoints are detected in them, and --database has \
+        keypoints: leave one of the two out, or reduce the depth maps by `reconstruct --dense`"
+            .to_owned(),
+    ))
 }
 
 fn feature_options(input: &Input, cameras: &Cameras) -> Result<FeatureOptions, Failure> {

@@ -1,6 +1,8 @@
 //! COLMAP's commands: the calls of 3DGS's `convert.py` and of nerfstudio, a database that another
 //! program made, and options.
 
+mod dense;
+
 use std::fs;
 use std::path::Path;
 use std::process::Command;
@@ -170,22 +172,30 @@ fn undistortion_beside_a_database_can_run_again() {
     colmap(dir.path(), &line.replace("--output_path {}", "--output_path {}/ws")).failed(1, &["ws"]);
 }
 
+/// Whether COLMAP 3 itself is installed.
+fn has_colmap_3() -> bool {
+    let help = Command::new("colmap").arg("help").env("QT_QPA_PLATFORM", "offscreen").output();
+    let help = help.map(|found| String::from_utf8_lossy(&found.stdout).into_owned());
+    help.is_ok_and(|help| help.starts_with("COLMAP 3.") && !help.contains("tiepoint"))
+}
+
+/// Runs a verb of COLMAP 3 itself.
+fn colmap_3(dir: &Path, line: &str) {
+    let words = line.replace("{}", dir.to_str().unwrap());
+    let mut command = Command::new("colmap");
+    command.args(words.split_whitespace()).env("QT_QPA_PLATFORM", "offscreen");
+    let run = Run(command.output().unwrap());
+    assert_eq!(run.code(), 0, "{line}: {} {}", run.stdout(), run.stderr());
+}
+
 /// COLMAP 3 reads columns by their place, and has no rigs.
 #[test]
 fn colmap_3_maps_matches_and_registers_from_our_database() {
-    let help = Command::new("colmap").arg("help").env("QT_QPA_PLATFORM", "offscreen").output();
-    let help = help.map(|found| String::from_utf8_lossy(&found.stdout).into_owned());
-    if !help.is_ok_and(|help| help.starts_with("COLMAP 3.") && !help.contains("tiepoint")) {
+    if !has_colmap_3() {
         return crate::skipped::skipped("COLMAP 3 (`colmap`)");
     }
     let dir = copy();
-    let theirs = |line: &str| {
-        let words = line.replace("{}", dir.path().to_str().unwrap());
-        let mut command = Command::new("colmap");
-        command.args(words.split_whitespace()).env("QT_QPA_PLATFORM", "offscreen");
-        let run = Run(command.output().unwrap());
-        assert_eq!(run.code(), 0, "{line}: {} {}", run.stdout(), run.stderr());
-    };
+    let theirs = |line: &str| colmap_3(dir.path(), line);
     let database = dir.path().join("distorted/database.db");
     fs::create_dir_all(dir.path().join("theirs/all")).unwrap();
     theirs(
@@ -468,7 +478,7 @@ fn databases_are_created_once_and_other_verbs_name_what_serves_instead() {
     assert!(images(&dir.join("a.db")).is_empty());
     fs::write(dir.join("mine"), "mine").unwrap();
     colmap(dir, "database_creator --database_path {}/mine").failed(1, &["mine"]);
-    colmap(dir, "stereo_fusion --workspace_path {}/x").failed(1, &["tiepoint dense"]);
+    colmap(dir, "delaunay_mesher").failed(1, &["no delaunay_mesher", "stereo_fusion"]);
     colmap(dir, "poisson_mesher").failed(1, &["no poisson_mesher", "fused.ply"]);
     colmap(dir, "mapperr").failed(1, &["no command mapperr", "colmap help"]);
 }

@@ -25,7 +25,7 @@ fn reconstructed(dir: &Path) {
     tiepoint_in(dir, "reconstruct {}/photos -o {}/ws").done();
 }
 
-fn copy_folder(from: &Path, to: &Path) {
+pub(crate) fn copy_folder(from: &Path, to: &Path) {
     fs::create_dir_all(to).unwrap();
     for entry in fs::read_dir(from).unwrap() {
         let entry = entry.unwrap();

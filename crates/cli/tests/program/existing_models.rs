@@ -291,4 +291,15 @@ fn databases_of_other_programs_may_be_bad_input() {
     run(dir.path(), "features -o []/bad6").failed(2, &["INPUT"]);
     run(dir.path(), "features --database []/foreign.db --cameras image -o []/bad7")
         .failed(2, &["--cameras", "--database"]);
+    for (command, option) in [
+        ("features", "--max-size 100"),
+        ("reconstruct", "--max-size 100"),
+        ("features", "--every 2"),
+        ("reconstruct", "--max-megapixels 1"),
+    ] {
+        let name = option.split_once(' ').unwrap().0;
+        let line = format!("{command} --database []/foreign.db {option} -o []/bad8");
+        run(dir.path(), &line).failed(2, &[name, "--database"]);
+        assert!(!dir.path().join("bad8").exists(), "{line}");
+    }
 }

@@ -108,7 +108,7 @@ fn a_browser_draws_the_page_and_shows_the_photo_of_a_clicked_camera() {
     }
     assert!(found["eye"].as_f64().unwrap() < 1e-6, "looks through the camera: {found}");
     assert_eq!(found["unnamed"], serde_json::json!([]));
-    assert_eq!(found["legend"], format!("camera 1: {COUNT}"));
+    assert_eq!(found["legend"], format!("camera 1: {COUNT} images"));
     assert!(found["bar"].as_str().unwrap().contains(" unit"), "{found}");
     let axes = ["axes", "ticks"].map(|name| found[name].as_array().unwrap().clone()).concat();
     assert!(axes.len() > 13, "{found}");

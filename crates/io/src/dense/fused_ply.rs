@@ -1,5 +1,5 @@
 //! `fused.ply` of COLMAP: points with normals and colours, binary little-endian. The property
-//! `confidence`, which COLMAP's has not, comes last.
+//! `confidence`, which COLMAP's has not, comes last, if the depth maps have confidences.
 
 use std::path::Path;
 
@@ -9,7 +9,10 @@ use crate::ply::header;
 
 /// Writes points one after the other.
 #[derive(Debug)]
-pub struct FusedPly(CountedFile);
+pub struct FusedPly {
+    file: CountedFile,
+    has_confidence: bool,
+}
 
 impl FusedPly {
     /// Begins a new file; the path must not exist.
@@ -17,12 +20,12 @@ impl FusedPly {
     /// # Errors
     ///
     /// If the file cannot be written.
-    pub fn create(path: &Path) -> Result<Self> {
-        CountedFile::create(path).map(Self)
+    pub fn create(path: &Path, has_confidence: bool) -> Result<Self> {
+        Ok(Self { file: CountedFile::create(path)?, has_confidence })
     }
 
     /// Writes a point: position, unit normal, red, green and blue, and the probability that it is
-    /// right.
+    /// right, which a file without confidences leaves out.
     ///
     /// # Errors
     ///
@@ -41,7 +44,7 @@ impl FusedPly {
         }
         record[24..27].copy_from_slice(&color);
         record[27..].copy_from_slice(&confidence.to_le_bytes());
-        self.0.push(&record)
+        self.file.push(if self.has_confidence { &record } else { &record[..27] })
     }
 
     /// Writes the header, and waits until the file is on the disk. Returns the number of points.
@@ -50,10 +53,10 @@ impl FusedPly {
     ///
     /// If the file cannot be written.
     pub fn finish(self) -> Result<u64> {
-        let count = self.0.count;
-        let header =
-            header(None, count, "float", &["x", "y", "z", "nx", "ny", "nz"], &["confidence"]);
-        self.0.finish(header.as_bytes())?;
+        let count = self.file.count;
+        let after: &[&str] = if self.has_confidence { &["confidence"] } else { &[] };
+        let header = header(None, count, "float", &["x", "y", "z", "nx", "ny", "nz"], after);
+        self.file.finish(header.as_bytes())?;
         Ok(count)
     }
 }

@@ -49,7 +49,7 @@ fn damaged_maps_are_errors() {
 fn fused_points_have_normals_colours_and_images() {
     let dir = tempfile::tempdir().unwrap();
     let (path, vis) = (dir.path().join("fused.ply"), dir.path().join("fused.ply.vis"));
-    let mut points = FusedPly::create(&path).unwrap();
+    let mut points = FusedPly::create(&path, true).unwrap();
     let mut images = FusedVisibility::create(&vis).unwrap();
     for index in 0..3u8 {
         let x = f32::from(index);
@@ -73,4 +73,13 @@ fn fused_points_have_normals_colours_and_images() {
     }
     assert_eq!(fs::read(&vis).unwrap(), expected);
     assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 2, "the records are gone");
+    // As COLMAP writes it.
+    let path = dir.path().join("plain.ply");
+    let mut points = FusedPly::create(&path, false).unwrap();
+    points.push([1.0, 2.5, -1.0], [0.0, 0.6, 0.8], [7, 20, 30], 0.25).unwrap();
+    points.finish().unwrap();
+    assert_eq!(ply::read(&path).unwrap()[0].color, [7, 20, 30]);
+    let bytes = fs::read(&path).unwrap();
+    assert_eq!(bytes[bytes.len() - 3..], [7, 20, 30]);
+    assert!(!String::from_utf8_lossy(&bytes).contains("confidence"));
 }

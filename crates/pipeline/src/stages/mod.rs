@@ -27,6 +27,7 @@ pub(crate) mod warnings;
 
 pub use colors::color_points;
 pub use dense::dense;
+pub use dense::depth_maps::DepthMaps;
 pub use dense::options::DenseOptions;
 pub use extraction::{extract_image, extract_photo, memory_of};
 pub use features::{FeatureOptions, extract_features, extract_shard};

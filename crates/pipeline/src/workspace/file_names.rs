@@ -12,14 +12,6 @@ pub(crate) const DENSE: &str = "dense";
 /// The dense cloud.
 pub(crate) const DENSE_CLOUD: &str = "dense/fused.ply";
 
-/// What COLMAP adds to the name of an image for its depth and normal maps.
-pub(crate) const GEOMETRIC: &str = ".geometric.bin";
-
-/// The depth map of an image, relative to the workspace.
-pub fn depth_map_path(image: &str) -> String {
-    format!("dense/stereo/depth_maps/{image}{GEOMETRIC}")
-}
-
 /// The folder of a model, relative to the workspace.
 pub(crate) fn model_path(index: usize) -> String {
     format!("{SPARSE}/{index}")

@@ -2,6 +2,7 @@
 
 pub(crate) mod control_report;
 pub(crate) mod database_scene;
+pub(crate) mod dense_names;
 pub(crate) mod file_marks;
 pub(crate) mod file_names;
 pub(crate) mod folder;
@@ -25,8 +26,9 @@ pub(crate) mod warning;
 
 pub use control_report::{ControlPointReport, ControlReport, PointStatistics};
 pub use database_scene::read_scene;
+pub use dense_names::{DenseNames, MapKind, depth_map_path};
 pub use file_marks::PLY_MARK;
-pub use file_names::{RIG, depth_map_path};
+pub use file_names::RIG;
 pub use folder::{REPORT, Workspace, refuse_workspace};
 pub use located_model::{LocatedModel, model_folder};
 pub use model_output::{model_files, model_names, stage_model, write_model};

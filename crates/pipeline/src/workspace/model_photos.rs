@@ -96,6 +96,24 @@ impl ModelPhotos {
         undistorted_image(self.path(image), &rgb, undistortion)
     }
 
+    /// The undistorted grey image of a photo.
+    ///
+    /// # Errors
+    ///
+    /// The photo cannot be read or has another size than its camera.
+    pub(crate) fn undistorted_grey(
+        &self,
+        image: &str,
+        undistortion: &Undistortion,
+    ) -> Result<Luma, Error> {
+        let luma = self.folder.luma(self.index_of[image])?;
+        let data = undistortion
+            .image::<1>(&luma.data)
+            .map_err(|cause| Error::Dense { path: self.path(image).to_owned(), cause })?;
+        let to = undistortion.to();
+        Ok(Luma { width: to.width, height: to.height, data })
+    }
+
     /// The file of a registered image's photo.
     pub(crate) fn path(&self, image: &str) -> &Path {
         self.folder.path(self.index_of[image])

@@ -8,6 +8,7 @@ mod matching;
 mod models;
 mod options;
 mod spec;
+mod stereo;
 mod tables;
 mod undistortion;
 mod verbs;

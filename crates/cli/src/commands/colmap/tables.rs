@@ -302,6 +302,64 @@ pub(super) const UNDISTORTER: &[Spec] = &[
     int("num_threads", "-1", Speed),
 ];
 
+/// Options of `patch_match_stereo` and `stereo_fusion`: where the images and maps are.
+pub(super) const DENSE_WORKSPACE: &[Spec] = &[
+    path("workspace_path", "", Used),
+    text("workspace_format", "COLMAP", Fixed),
+    // Names the lists of the format PMVS alone.
+    text("pmvs_option_name", "option-all", Speed),
+];
+
+/// Options of `patch_match_stereo`.
+pub(super) const PATCH_MATCH: &[Spec] = &[
+    path("config_path", "", Used),
+    int("PatchMatchStereo.max_image_size", "-1", Used),
+    text("PatchMatchStereo.gpu_index", "-1", Speed),
+    real("PatchMatchStereo.depth_min", "-1", Fixed),
+    real("PatchMatchStereo.depth_max", "-1", Fixed),
+    int("PatchMatchStereo.window_radius", "5", Tuning),
+    int("PatchMatchStereo.window_step", "1", Tuning),
+    real("PatchMatchStereo.sigma_spatial", "-1", Tuning),
+    real("PatchMatchStereo.sigma_color", "0.2", Tuning),
+    int("PatchMatchStereo.num_samples", "15", Tuning),
+    real("PatchMatchStereo.ncc_sigma", "0.6", Tuning),
+    real("PatchMatchStereo.min_triangulation_angle", "1", Tuning),
+    real("PatchMatchStereo.incident_angle_sigma", "0.9", Tuning),
+    int("PatchMatchStereo.num_iterations", "5", Tuning),
+    bool("PatchMatchStereo.geom_consistency", "1", Used),
+    real("PatchMatchStereo.geom_consistency_regularizer", "0.3", Tuning),
+    real("PatchMatchStereo.geom_consistency_max_cost", "3", Tuning),
+    bool("PatchMatchStereo.filter", "1", Fixed),
+    real("PatchMatchStereo.filter_min_ncc", "0.1", Tuning),
+    real("PatchMatchStereo.filter_min_triangulation_angle", "3", Tuning),
+    int("PatchMatchStereo.filter_min_num_consistent", "2", Tuning),
+    real("PatchMatchStereo.filter_geom_consistency_max_cost", "1", Tuning),
+    real("PatchMatchStereo.cache_size", "32", Speed),
+    bool("PatchMatchStereo.allow_missing_files", "0", Fixed),
+    bool("PatchMatchStereo.write_consistency_graph", "0", Fixed),
+    int("PatchMatchStereo.num_threads", "-1", Speed),
+];
+
+/// Options of `stereo_fusion`.
+pub(super) const FUSION: &[Spec] = &[
+    text("input_type", "geometric", Used),
+    text("output_type", "PLY", Fixed),
+    path("bbox_path", "", Used),
+    path("StereoFusion.mask_path", "", Used),
+    int("StereoFusion.num_threads", "-1", Speed),
+    int("StereoFusion.max_image_size", "-1", Used),
+    int("StereoFusion.min_num_pixels", "5", Used),
+    int("StereoFusion.max_num_pixels", "10000", Tuning),
+    int("StereoFusion.max_traversal_depth", "100", Tuning),
+    real("StereoFusion.max_reproj_error", "2", Used),
+    real("StereoFusion.max_depth_error", "0.01", Used),
+    real("StereoFusion.max_normal_error", "10", Used),
+    int("StereoFusion.check_num_images", "50", Tuning),
+    real("StereoFusion.cache_size", "32", Speed),
+    bool("StereoFusion.use_cache", "0", Speed),
+    OVERWRITE,
+];
+
 /// Replaces a named file, whoever made it. COLMAP has no such option, and replaces any file.
 const OVERWRITE: Spec = bool("overwrite", "0", Used);
 

@@ -3,11 +3,11 @@
 use super::options::Options;
 use super::spec::Spec;
 use super::tables::{
-    ALIGNER, ANALYZER, AUTOMATIC, BUNDLE_ADJUSTMENT, CONVERTER, DATABASE, EXHAUSTIVE, EXTRACTION,
-    IMAGE_LIST, IMAGES, INPUT, MAPPER, MATCHING, MERGER, ORIENTATION, OUTPUT, RIGS, SEQUENTIAL,
-    TRIANGULATOR, UNDISTORTER, VOCAB_TREE,
+    ALIGNER, ANALYZER, AUTOMATIC, BUNDLE_ADJUSTMENT, CONVERTER, DATABASE, DENSE_WORKSPACE,
+    EXHAUSTIVE, EXTRACTION, FUSION, IMAGE_LIST, IMAGES, INPUT, MAPPER, MATCHING, MERGER,
+    ORIENTATION, OUTPUT, PATCH_MATCH, RIGS, SEQUENTIAL, TRIANGULATOR, UNDISTORTER, VOCAB_TREE,
 };
-use super::{automatic, features, mapping, matching, models, undistortion};
+use super::{automatic, features, mapping, matching, models, stereo, undistortion};
 use crate::failure::Failure;
 use crate::output::Output;
 
@@ -86,6 +86,11 @@ pub(super) const VERBS: &[Verb] = &[
         run: models::model_orientation_aligner,
     },
     Verb {
+        name: "patch_match_stereo",
+        options: &[DENSE_WORKSPACE, PATCH_MATCH],
+        run: stereo::patch_match_stereo,
+    },
+    Verb {
         name: "point_triangulator",
         options: &[DATABASE, IMAGES, INPUT, OUTPUT, TRIANGULATOR, MAPPER],
         run: mapping::point_triangulator,
@@ -99,6 +104,11 @@ pub(super) const VERBS: &[Verb] = &[
         name: "sequential_matcher",
         options: &[DATABASE, MATCHING, SEQUENTIAL],
         run: matching::sequential_matcher,
+    },
+    Verb {
+        name: "stereo_fusion",
+        options: &[DENSE_WORKSPACE, OUTPUT, FUSION],
+        run: stereo::stereo_fusion,
     },
     Verb {
         name: "vocab_tree_matcher",
@@ -131,26 +141,22 @@ pub(super) const OTHERS: &[(&str, &str)] = &[
     ("model_cropper", "`tiepoint model crop MODEL --box x1,y1,z1,x2,y2,z2 -o OUT`"),
     ("model_splitter", "`tiepoint model crop` cuts a part out"),
     ("model_transformer", "`tiepoint model transform MODEL --by FILE -o OUT`"),
-    ("patch_match_stereo", DENSE),
     ("point_filtering", MODELS),
     ("poisson_mesher", NO_MESH),
     ("pose_prior_mapper", "`tiepoint reconstruct --database FILE` takes `pose_priors`"),
     ("project_generator", "options are given on the command line"),
     ("rotation_averager", MAPPERS),
     ("spatial_matcher", "`sequential_matcher`, or `tiepoint match`, which chooses similar images"),
-    ("stereo_fusion", DENSE),
     ("transitive_matcher", "`exhaustive_matcher` or `tiepoint match`"),
     ("view_graph_calibrator", "`mapper` refines the intrinsics"),
     ("vocab_tree_builder", "`vocab_tree_matcher` needs no file of words"),
     ("vocab_tree_retriever", "`vocab_tree_matcher` finds similar images and matches them"),
 ];
-const NO_MESH: &str = "there are no meshes: give dense/fused.ply of `tiepoint dense` to COLMAP, \
-    OpenMVS or CloudCompare";
+const NO_MESH: &str = "there are no meshes: give fused.ply of `stereo_fusion` or `tiepoint dense` \
+    to COLMAP, OpenMVS or CloudCompare";
 const DATABASES: &str = "make a new database with `feature_extractor`, or use COLMAP itself";
 const MAPPERS: &str = "`mapper` is the incremental one, the only one here";
 const MODELS: &str = "edit the model in Python, or use COLMAP itself";
-const DENSE: &str = "`tiepoint dense WORKSPACE` estimates depth maps and fuses them on the CPU, \
-    for a workspace of `tiepoint reconstruct` or `automatic_reconstructor`";
 
 #[cfg(test)]
 mod tests {

@@ -5,18 +5,16 @@
 //! published on its own, so that an interrupted run loses one step of one image. At most one
 //! reference image and its sources are in memory.
 
+pub(crate) mod depth_maps;
 mod masks;
 pub(crate) mod options;
 
 use std::path::{Path, PathBuf};
 
 use tiepoint_dense::fusion::{FusionImage, FusionOptions, fuse};
-use tiepoint_dense::stereo::{
-    DepthMap, FineEstimate, FineSource, InverseDepthRange, PlaneMap, StereoImage, estimate_coarse,
-    estimate_fine, normals_of,
-};
+use tiepoint_dense::stereo::{DepthMap, InverseDepthRange};
 use tiepoint_dense::undistort::{UndistortOptions, Undistortion, undistort_model};
-use tiepoint_dense::{Grey, PixelPoses, PosedPinhole, StereoProblem, select_views};
+use tiepoint_dense::{neighbours, select_views};
 use tiepoint_input::images::DepthScale;
 use tiepoint_input::{Luma, Rgb};
 use tiepoint_io::Error as IoError;
@@ -26,10 +24,12 @@ use tiepoint_sfm::geometry::RowPoses;
 use tiepoint_sfm::rolling_shutter::row_poses;
 use tiepoint_sfm::scene::{Camera, Image, ImageId, Reconstruction};
 
+use self::depth_maps::DepthMaps;
 use self::masks::Masks;
 use crate::stages::dense::options::DenseOptions;
 use crate::stages::option_keys;
-use crate::workspace::file_names::{DENSE, DENSE_CLOUD, GEOMETRIC, depth_map_path, model_path};
+use crate::workspace::dense_names::{DenseNames, MapKind};
+use crate::workspace::file_names::{DENSE, DENSE_CLOUD, model_path};
 use crate::workspace::located_model::LocatedModel;
 use crate::workspace::model_output::{model_names, stage_model};
 use crate::workspace::model_photos::{check_sizes, photos_of, write_undistorted};
@@ -45,8 +45,8 @@ const STEREO_LIST: &str = "dense/stereo/patch-match.cfg";
 const FUSION_LIST: &str = "dense/stereo/fusion.cfg";
 /// Scale of the 16-bit depth maps.
 const DEPTH_SCALE: &str = "dense/depth_png/scale.json";
-/// Channels of a file of planes: inverse depth, its two derivatives, and the cost.
-const PLANE_CHANNELS: usize = 4;
+/// The files of the images.
+const NAMES: DenseNames = DenseNames::OF_WORKSPACE;
 
 /// Estimates the depth maps of the largest model of a workspace and fuses them.
 ///
@@ -110,8 +110,10 @@ fn estimate_and_fuse(
         workspace.note(|_| {})?;
     }
     let rows = rows_of_photos(&located);
-    let mut run = Run::new(workspace, undistorted, problems, rows, options, masks);
-    let total = 3 * run.problems.len();
+    let mut maps = DepthMaps::new(&mut workspace.folder, NAMES, undistorted, problems);
+    maps.rows = rows;
+    let mut run = Run::new(maps, options, masks);
+    let total = 3 * run.maps.count();
     let (done, has_all_depths) = run.count_done()?;
     emit(stage.watch, &Event::StageBegan { stage: Stage::Dense, total, done })?;
     run.write_model()?;
@@ -121,13 +123,13 @@ fn estimate_and_fuse(
             run.done(DenseStep::Undistort, index, stage.watch)?;
         }
     }
-    for index in 0..run.problems.len() {
-        if !has_all_depths && run.is_missing(&planes_file(run.name(index)))? {
-            run.estimate_planes(index)?;
+    for index in 0..run.maps.count() {
+        if !has_all_depths && !run.maps.has_planes(index)? {
+            run.maps.estimate_planes(index)?;
             run.done(DenseStep::Planes, index, stage.watch)?;
         }
     }
-    for index in 0..run.problems.len() {
+    for index in 0..run.maps.count() {
         if !run.has_depths(index)? {
             run.estimate_depths(index)?;
             run.done(DenseStep::Depths, index, stage.watch)?;
@@ -158,13 +160,14 @@ fn rows_of_photos(located: &LocatedModel) -> Vec<Option<(RowPoses, Camera)>> {
 
 /// Checks that file systems, which allow names of 255 bytes, allow those of the depth maps.
 fn check_names(photos: &[(&Image, PathBuf)]) -> Result<(), Error> {
-    let max = 255 - GEOMETRIC.len();
+    let suffix = MapKind::Geometric.suffix();
+    let max = 255 - suffix.len();
     let is_long = |name: &str| name.rsplit('/').next().is_some_and(|name| name.len() > max);
     match photos.iter().find(|(image, _)| is_long(&image.name)) {
         None => Ok(()),
         Some((_, photo)) => {
             let what = format!(
-                "its name is too long for that of its depth map, which adds `{GEOMETRIC}`: rename \
+                "its name is too long for that of its depth map, which adds `{suffix}`: rename \
                 the photo to at most {max} bytes, and reconstruct anew"
             );
             Err(IoError::content(photo, what).into())
@@ -172,37 +175,14 @@ fn check_names(photos: &[(&Image, PathBuf)]) -> Result<(), Error> {
     }
 }
 
-fn image_file(image: &str) -> String {
-    format!("dense/images/{image}")
-}
-
-/// The mask of an image: 255 where it is used, 0 where it is not.
-fn mask_file(image: &str) -> String {
-    format!("dense/masks/{image}.png")
-}
-
-/// Planes at half resolution, until the stage is complete.
-fn planes_file(image: &str) -> String {
-    format!("dense/stereo/planes/{image}.bin")
-}
-
 /// The depth map as an image of 16 bits a pixel.
 fn depth_png_file(image: &str) -> String {
     format!("dense/depth_png/{image}.png")
 }
 
-/// The probabilities that the depths are right.
-fn confidence_file(image: &str) -> String {
-    format!("dense/stereo/confidence_maps/{image}{GEOMETRIC}")
-}
-
 /// The confidences as an image of 8 bits a pixel, 255 for 1.
 fn confidence_png_file(image: &str) -> String {
     format!("dense/confidence_png/{image}.png")
-}
-
-fn normal_file(image: &str) -> String {
-    format!("dense/stereo/normal_maps/{image}{GEOMETRIC}")
 }
 
 /// Removes the results of an earlier run, and writes that the stage has begun.
@@ -213,9 +193,9 @@ fn normal_file(image: &str) -> String {
 fn remove_old_results(workspace: &mut Workspace, model: &Reconstruction) -> Result<(), Error> {
     let of_image = |image: &Image| {
         let name = &image.name;
-        let images = [image_file(name), mask_file(name)];
-        let maps = [planes_file(name), depth_map_path(name), confidence_file(name)];
-        let exports = [normal_file(name), depth_png_file(name), confidence_png_file(name)];
+        let images = [NAMES.image(name), NAMES.mask(name)];
+        let maps = [NAMES.planes(name), NAMES.depths(name), NAMES.confidences(name)];
+        let exports = [NAMES.normals(name), depth_png_file(name), confidence_png_file(name)];
         images.into_iter().chain(maps).chain(exports)
     };
     let mut names: Vec<String> = model.images().flat_map(|(_, image)| of_image(image)).collect();
@@ -231,87 +211,64 @@ fn remove_old_results(workspace: &mut Workspace, model: &Reconstruction) -> Resu
 
 /// A run of the stage.
 struct Run<'a> {
-    workspace: &'a mut Workspace,
-    model: Reconstruction,
-    /// One for each image of the model, in order.
-    problems: Vec<StereoProblem>,
-    /// Of the photo of each image.
-    rows: Vec<Option<(RowPoses, Camera)>>,
+    maps: DepthMaps<'a>,
     options: &'a DenseOptions,
     masks: Option<Masks>,
     depth_scale: DepthScale,
 }
 
 impl<'a> Run<'a> {
-    fn new(
-        workspace: &'a mut Workspace,
-        model: Reconstruction,
-        problems: Vec<StereoProblem>,
-        rows: Vec<Option<(RowPoses, Camera)>>,
-        options: &'a DenseOptions,
-        masks: Option<Masks>,
-    ) -> Self {
+    fn new(maps: DepthMaps<'a>, options: &'a DenseOptions, masks: Option<Masks>) -> Self {
         // The farthest depth that any image may have.
-        let ranges = problems.iter().filter_map(|problem| InverseDepthRange::of(&problem.seeds));
+        let ranges =
+            maps.problems.iter().filter_map(|problem| InverseDepthRange::of(&problem.seeds));
         let farthest = ranges.map(|range| 1.0 / range.min).fold(0.0, f32::max);
         let depth_scale = DepthScale::up_to(farthest);
-        Self { workspace, model, problems, rows, options, masks, depth_scale }
+        Self { maps, options, masks, depth_scale }
     }
 
     fn name(&self, index: usize) -> &str {
-        &self.model.image(ImageId::from_index(index)).name
+        self.maps.name(index)
     }
 
     fn path(&self, name: &str) -> PathBuf {
-        self.workspace.root().join(name)
+        self.maps.path(name)
     }
 
-    /// Whether a file has still to be made.
     fn is_missing(&self, name: &str) -> Result<bool, Error> {
-        Ok(!self.workspace.folder.is_unmodified(name)?)
+        self.maps.is_missing(name)
     }
 
     fn is_undistorted(&self, index: usize) -> Result<bool, Error> {
-        let (image, mask) = (image_file(self.name(index)), mask_file(self.name(index)));
-        let has_lost_mask = self.masks.is_some()
-            && self.workspace.folder.contains(&mask)
-            && self.is_missing(&mask)?;
+        let (image, mask) = (NAMES.image(self.name(index)), NAMES.mask(self.name(index)));
+        let has_lost_mask =
+            self.masks.is_some() && self.maps.folder.contains(&mask) && self.is_missing(&mask)?;
         Ok(!has_lost_mask && !self.is_missing(&image)?)
     }
 
     /// The files of the depths of an image, that of the depth map last.
     fn depth_files(&self, index: usize) -> Vec<String> {
         let name = self.name(index);
-        let normals = self.options.write_normal_maps.then(|| normal_file(name));
         let pngs = [depth_png_file(name), confidence_png_file(name)];
         let pngs = self.options.write_depth_pngs.then_some(pngs).into_iter().flatten();
-        normals
-            .into_iter()
-            .chain(pngs)
-            .chain([confidence_file(name), depth_map_path(name)])
-            .collect()
+        pngs.chain(self.maps.depth_files(index, self.options.write_normal_maps)).collect()
     }
 
     /// Whether the depth map of an image exists, with all that is asked for.
     fn has_depths(&self, index: usize) -> Result<bool, Error> {
-        for file in self.depth_files(index) {
-            if self.is_missing(&file)? {
-                return Ok(false);
-            }
-        }
-        Ok(true)
+        self.maps.have_files(&self.depth_files(index))
     }
 
     /// Number of steps that an earlier run completed, and whether all depth maps exist. The files
     /// of planes are deleted when all depth maps exist; their steps then count as completed.
     fn count_done(&self) -> Result<(usize, bool), Error> {
         let (mut images, mut planes, mut depths) = (0, 0, 0);
-        for index in 0..self.problems.len() {
+        for index in 0..self.maps.count() {
             images += usize::from(self.is_undistorted(index)?);
-            planes += usize::from(!self.is_missing(&planes_file(self.name(index)))?);
+            planes += usize::from(self.maps.has_planes(index)?);
             depths += usize::from(self.has_depths(index)?);
         }
-        let has_all_depths = depths == self.problems.len();
+        let has_all_depths = depths == self.maps.count();
         Ok((images + depths + if has_all_depths { depths } else { planes }, has_all_depths))
     }
 
@@ -319,19 +276,14 @@ impl<'a> Run<'a> {
         emit(watch, &Event::DenseDone { step, image: self.name(index) })
     }
 
-    fn publish(&mut self, names: &[String]) -> Result<(), Error> {
-        self.workspace.folder.publish(names, &[])?;
-        Ok(())
-    }
-
     /// Writes the undistorted model and the lists of images.
     fn write_model(&mut self) -> Result<(), Error> {
-        let folder = &self.workspace.folder;
-        let mut names = stage_model(folder, Some(SPARSE), &self.model, Format::Binary)?;
+        let folder = &self.maps.folder;
+        let mut names = stage_model(folder, Some(SPARSE), &self.maps.model, Format::Binary)?;
         let (mut stereo, mut fusion) = (String::new(), String::new());
-        for problem in &self.problems {
-            let name = &self.model.image(problem.image).name;
-            let sources = problem.sources.iter().map(|id| self.model.image(*id).name.as_str());
+        for problem in &self.maps.problems {
+            let name = &self.maps.model.image(problem.image).name;
+            let sources = problem.sources.iter().map(|id| self.maps.model.image(*id).name.as_str());
             stereo += &format!("{name}\n{}\n", sources.collect::<Vec<_>>().join(", "));
             fusion += &format!("{name}\n");
         }
@@ -342,7 +294,7 @@ impl<'a> Run<'a> {
             folder.stage_bytes(DEPTH_SCALE, self.depth_scale.json().as_bytes())?;
             names.push(DEPTH_SCALE.to_owned());
         }
-        self.publish(&names)
+        self.maps.publish(&names)
     }
 
     fn undistort(
@@ -353,156 +305,42 @@ impl<'a> Run<'a> {
         photo: &Path,
     ) -> Result<(), Error> {
         let from = model.camera(image.camera);
-        let to = *self.model.camera_of(ImageId::from_index(index));
-        let name = image_file(&image.name);
-        let target = self.workspace.folder.stage(&name)?;
+        let to = *self.maps.model.camera_of(ImageId::from_index(index));
+        let name = NAMES.image(&image.name);
+        let target = self.maps.folder.stage(&name)?;
         let undistortion = Undistortion::new(from, &to);
         write_undistorted(photo, &undistortion, &target)?;
         let mut names = vec![name];
         if let Some(masks) = &self.masks
             && let Some(mask) = masks.undistorted(&image.name, &undistortion)?
         {
-            let name = mask_file(&image.name);
-            mask.write(&self.workspace.folder.stage(&name)?)?;
+            let name = NAMES.mask(&image.name);
+            mask.write(&self.maps.folder.stage(&name)?)?;
             names.insert(0, name);
         }
-        self.publish(&names)
-    }
-
-    fn camera(&self, index: usize) -> Result<PosedPinhole, Error> {
-        let id = ImageId::from_index(index);
-        let (camera, image) = (self.model.camera_of(id), self.model.image(id));
-        let pinhole = image
-            .cam_from_world()
-            .and_then(|cam_from_world| PosedPinhole::new(camera, cam_from_world));
-        let mut pinhole = pinhole.ok_or_else(|| Error::Dense {
-            path: self.path(&image_file(&image.name)),
-            cause: tiepoint_dense::Error::Distorted {
-                image: image.name.clone(),
-                model: camera.intrinsics.kind().name(),
-            },
-        })?;
-        pinhole.rows = self.rows[index]
-            .map(|(rows, photo)| PixelPoses::new(rows, &Undistortion::new(&photo, camera)));
-        Ok(pinhole)
-    }
-
-    /// An undistorted image. It is read from its file also in the run that wrote it, so that an
-    /// interrupted run gives the same results.
-    fn view(&self, index: usize) -> Result<StereoImage, Error> {
-        let camera = self.camera(index)?;
-        let path = self.path(&image_file(self.name(index)));
-        let Luma { width, height, data } = Luma::read(&path)?;
-        let grey = Grey { width: width as usize, height: height as usize, pixels: data };
-        if (grey.width, grey.height) != (camera.width, camera.height) {
-            let (width, height) = (camera.width as u32, camera.height as u32);
-            let cause = tiepoint_dense::Error::Size { width, height, found: grey.pixels.len() };
-            return Err(Error::Dense { path, cause });
-        }
-        Ok(StereoImage { camera, grey })
-    }
-
-    fn sources(&self, index: usize) -> Vec<usize> {
-        self.problems[index].sources.iter().map(|image| image.index()).collect()
-    }
-
-    fn estimate_planes(&mut self, index: usize) -> Result<(), Error> {
-        let reference = self.view(index)?;
-        let sources: Vec<StereoImage> = self
-            .sources(index)
-            .into_iter()
-            .map(|source| self.view(source))
-            .collect::<Result<_, _>>()?;
-        let sources: Vec<&StereoImage> = sources.iter().collect();
-        let seeds = &self.problems[index].seeds;
-        let map = estimate_coarse(&reference, &sources, seeds, index as u64);
-        // An image without a source has no planes.
-        let map = map.unwrap_or(PlaneMap { width: 0, height: 0, planes: Vec::new() });
-        let count = map.planes.len();
-        let mut values = vec![0.0; PLANE_CHANNELS * count];
-        for (pixel, plane) in map.planes.iter().enumerate() {
-            for (channel, value) in plane.iter().enumerate() {
-                values[channel * count + pixel] = *value;
-            }
-        }
-        let PlaneMap { width, height, .. } = map;
-        let name = planes_file(self.name(index));
-        let file = DenseMap { width, height, channels: PLANE_CHANNELS, values };
-        file.write(&self.workspace.folder.stage(&name)?)?;
-        self.publish(&[name])
-    }
-
-    fn read_planes(&self, index: usize) -> Result<PlaneMap, Error> {
-        let path = self.path(&planes_file(self.name(index)));
-        let DenseMap { width, height, channels, values } = DenseMap::read(&path)?;
-        let count = width * height;
-        if channels != PLANE_CHANNELS {
-            let what = format!("it has {channels} channels and not {PLANE_CHANNELS}");
-            return Err(Error::Broken { path, what });
-        }
-        let plane = |pixel| std::array::from_fn(|channel| values[channel * count + pixel]);
-        Ok(PlaneMap { width, height, planes: (0..count).map(plane).collect() })
+        self.maps.publish(&names)
     }
 
     fn estimate_depths(&mut self, index: usize) -> Result<(), Error> {
-        let reference = self.view(index)?;
-        let coarse = self.read_planes(index)?;
-        let mut sources = Vec::new();
-        for source in self.sources(index) {
-            let planes = self.read_planes(source)?;
-            if !planes.planes.is_empty() {
-                sources.push((self.view(source)?, planes));
-            }
-        }
-        let sources: Vec<FineSource> = sources
-            .iter()
-            .map(|(view, planes)| FineSource { view, planes: planes.clone() })
-            .collect();
-        let seeds = &self.problems[index].seeds;
-        let estimate = match coarse.planes.is_empty() {
-            true => None,
-            false => estimate_fine(&reference, sources, seeds, &coarse, index as u64),
-        };
-        let (width, height) = (reference.grey.width, reference.grey.height);
-        let none = || DepthMap::empty(width, height);
-        let mut depths = estimate.map_or_else(none, |FineEstimate { depths, .. }| depths);
+        let mut depths = self.maps.estimate_depths(index)?;
         self.apply_mask(index, &mut depths)?;
-        self.write_depths(index, &reference.camera, depths)
-    }
-
-    fn write_depths(
-        &mut self,
-        index: usize,
-        camera: &PosedPinhole,
-        depths: DepthMap,
-    ) -> Result<(), Error> {
-        let (folder, name) = (&self.workspace.folder, self.name(index));
-        if self.options.write_normal_maps {
-            let normals = normals_of(&depths, camera);
-            let channel = |channel: usize| normals.iter().map(move |normal| normal[channel]);
-            let values = (0..3).flat_map(channel).collect();
-            let file = DenseMap { width: depths.width, height: depths.height, channels: 3, values };
-            file.write(&folder.stage(&normal_file(name))?)?;
-        }
-        let DepthMap { width, height, depths, confidences } = depths;
         if self.options.write_depth_pngs {
-            let (wide, high) = (width as u32, height as u32);
-            self.depth_scale.write(&folder.stage(&depth_png_file(name))?, wide, high, &depths)?;
+            let (folder, name) = (&self.maps.folder, self.name(index));
+            let DepthMap { width, height, depths, confidences } = &depths;
+            let (wide, high) = (*width as u32, *height as u32);
+            self.depth_scale.write(&folder.stage(&depth_png_file(name))?, wide, high, depths)?;
             let data = confidences.iter().map(|value| (255.0 * value).round() as u8).collect();
             let png = Luma { width: wide, height: high, data };
             png.write(&folder.stage(&confidence_png_file(name))?)?;
         }
-        for (file, values) in [(confidence_file(name), confidences), (depth_map_path(name), depths)]
-        {
-            DenseMap { width, height, channels: 1, values }.write(&folder.stage(&file)?)?;
-        }
+        self.maps.stage_depths(index, depths, self.options.write_normal_maps)?;
         let names = self.depth_files(index);
-        self.publish(&names)
+        self.maps.publish(&names)
     }
 
     /// Removes the depths where the mask of an image is 0.
     fn apply_mask(&self, index: usize, depths: &mut DepthMap) -> Result<(), Error> {
-        let name = mask_file(self.name(index));
+        let name = NAMES.mask(self.name(index));
         if self.masks.is_none() || self.is_missing(&name)? {
             return Ok(());
         }
@@ -523,15 +361,15 @@ impl<'a> Run<'a> {
     /// Fuses the depth maps into the staged cloud. Returns the report and the names of the files
     /// that are of no further use.
     fn fuse(&mut self) -> Result<(DenseReport, Vec<String>), Error> {
-        let folder = &self.workspace.folder;
-        let mut ply = FusedPly::create(&folder.stage(DENSE_CLOUD)?)?;
+        let folder = &self.maps.folder;
+        let mut ply = FusedPly::create(&folder.stage(DENSE_CLOUD)?, true)?;
         let mut visibility = FusedVisibility::create(&folder.stage(VISIBILITY)?)?;
         let mut report = DenseReport::default();
-        for (index, problem) in self.problems.iter().enumerate() {
-            match problem.sources.is_empty() || problem.seeds.is_empty() {
-                true => report.without_depth_map.push(self.name(index).to_owned()),
-                false => {
-                    let camera = self.camera(index)?;
+        for index in 0..self.maps.count() {
+            match self.maps.has_problem(index) {
+                false => report.without_depth_map.push(self.name(index).to_owned()),
+                true => {
+                    let camera = self.maps.camera(index)?;
                     report.depth_maps += 1;
                     report.depth_maps_with_row_poses += usize::from(camera.rows.is_some());
                     report.megapixels += (camera.width * camera.height) as f64 / 1e6;
@@ -543,36 +381,21 @@ impl<'a> Run<'a> {
             ply.push(point.xyz, point.normal, point.color, point.confidence)?;
             Ok(visibility.push(&point.views)?)
         };
-        fuse(&self.fusion_neighbours(), &FusionOptions::default(), load, take)?;
+        fuse(&neighbours(&self.maps.problems), &FusionOptions::default(), load, take)?;
         visibility.finish()?;
         report.points = ply.finish()?;
-        let planes = (0..self.problems.len()).map(|index| planes_file(self.name(index)));
+        let planes = (0..self.maps.count()).map(|index| NAMES.planes(self.name(index)));
         Ok((report, planes.collect()))
     }
 
     fn fusion_image(&self, index: usize) -> Result<FusionImage, Error> {
-        let camera = self.camera(index)?;
-        let path = self.path(&depth_map_path(self.name(index)));
+        let camera = self.maps.camera(index)?;
+        let path = self.path(&NAMES.depths(self.name(index)));
         let DenseMap { width, height, values, .. } = DenseMap::read(&path)?;
-        let photo = self.path(&image_file(self.name(index)));
+        let photo = self.path(&NAMES.image(self.name(index)));
         let rgb = Rgb::read_of_size(&photo, camera.width as u32, camera.height as u32)?;
-        let confidences = DenseMap::read(&self.path(&confidence_file(self.name(index))))?.values;
+        let confidences = DenseMap::read(&self.path(&NAMES.confidences(self.name(index))))?.values;
         let depths = DepthMap { width, height, depths: values, confidences };
         FusionImage::new(camera, depths, rgb.data).map_err(|cause| Error::Dense { path, cause })
-    }
-
-    /// The images that may see the surfaces of each image: its sources, and those it is a source
-    /// of.
-    fn fusion_neighbours(&self) -> Vec<Vec<usize>> {
-        let mut neighbours: Vec<Vec<usize>> =
-            (0..self.problems.len()).map(|index| self.sources(index)).collect();
-        for index in 0..neighbours.len() {
-            for source in self.sources(index) {
-                if !neighbours[source].contains(&index) {
-                    neighbours[source].push(index);
-                }
-            }
-        }
-        neighbours
     }
 }
