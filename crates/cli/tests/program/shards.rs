@@ -303,10 +303,10 @@ fn sub_maps_give_the_same_bytes_whoever_maps_them() {
 fn tiles_of_a_killed_map_are_discarded_when_its_input_changes() {
     let dir = tempfile::tempdir().unwrap();
     let dir = dir.path();
-    let synth = "synth -o {}/drive --frames 30 --size 240x180 --rate 2.5 --route open --seed 3";
+    let synth = "synth -o {}/drive --frames 30 --size 160x120 --rate 2.5 --route open --seed 3";
     tiepoint_in(dir, synth).done();
     tiepoint_in(dir, "features {}/drive -o {}/ws --timestamps {}/drive/timestamps.csv").done();
-    tiepoint_in(dir, "match {}/ws --pairs sequential:6").done();
+    tiepoint_in(dir, "match {}/ws --pairs sequential:3").done();
     let tile = dir.join("ws").join(TILES).join("map-1-of-2");
     let killed = || {
         let mut map = Command::new(env!("CARGO_BIN_EXE_tiepoint"));
@@ -326,6 +326,6 @@ fn tiles_of_a_killed_map_are_discarded_when_its_input_changes() {
     tiepoint_in(dir, &format!("{merge} --redo map")).failed(1, &["0 tiles", "shard 1/2"]);
     assert!(!tile.exists());
     killed();
-    tiepoint_in(dir, "match {}/ws --pairs sequential:5 --redo match").done();
+    tiepoint_in(dir, "match {}/ws --pairs sequential:2 --redo match").done();
     tiepoint_in(dir, merge).failed(1, &["0 tiles of models", "shard 1/2 is missing"]);
 }
