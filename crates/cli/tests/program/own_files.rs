@@ -260,7 +260,9 @@ const READ: [&str; 19] = [
 /// The same for COLMAP's options.
 const COLMAP_WRITTEN: [&str; 4] =
     ["database_path", "output_path", "transform_path", "workspace_path"];
-const COLMAP_READ: [&str; 19] = [
+const COLMAP_READ: [&str; 22] = [
+    "bbox_path",
+    "config_path",
     "mask_path",
     "vocab_tree_path",
     "ImageReader.camera_mask_path",
@@ -269,6 +271,7 @@ const COLMAP_READ: [&str; 19] = [
     "Mapper.constant_rig_list_path",
     "Mapper.snapshot_path",
     "SequentialMatching.vocab_tree_path",
+    "StereoFusion.mask_path",
     "VocabTreeMatching.match_list_path",
     "VocabTreeMatching.vocab_tree_path",
     "image_list_path",
