@@ -5,9 +5,9 @@
 //! similarity, or adjusted together with them. The lens of the model is the true one, or it is off
 //! and bends the model. Each line is the root mean square distance over the check points of all
 //! seeds: by their marks, which have noise as those of the control points; by their true pixels,
-//! which is the error of the model; and the Cramér-Rao bound of both (NaN where the covariance of a
-//! check point is numerically singular). Then one control point is off by 0.3 m, or one mark by
-//! 60 px: how often it is named, and how many right ones are.
+//! which is the error of the model; and the Cramér-Rao bound of both (NaN where a variable of the
+//! problem is undetermined). Then one control point is off by 0.3 m, or one mark by 60 px:
+//! how often it is named, and how many right ones are.
 //! `--write FOLDER` writes the models of the first seed before and after, and the points, for a
 //! second opinion (`bench/positions.py points`).
 
@@ -22,7 +22,7 @@ use tiepoint_pipeline::sfm::adjust::{
     adjust, build_problem, keep_going, relative_noise,
 };
 use tiepoint_pipeline::sfm::ba::factors::Prior;
-use tiepoint_pipeline::sfm::ba::{AnyKey, Key};
+use tiepoint_pipeline::sfm::ba::{self, AnyKey, Key};
 use tiepoint_pipeline::sfm::geometry::nalgebra::{Vector2, Vector3};
 use tiepoint_pipeline::sfm::geometry::{CameraModelKind, Intrinsics, Loss, Rng};
 use tiepoint_pipeline::sfm::positions::{
@@ -243,7 +243,8 @@ impl Term for BoundTerm<'_> {
     }
 }
 
-/// The mean of the squared Cramér-Rao bounds of the check points, in m².
+/// The mean of the squared Cramér-Rao bounds of the check points, in m²; NaN where a variable of
+/// the problem is undetermined.
 fn bound_m2(
     truth: &Reconstruction,
     points: &[MarkedPoint],
@@ -270,7 +271,10 @@ fn bound_m2(
         let variables = build_problem(truth, &Scope::Global, &options, &mut [&mut term])?;
         let checks = points.iter().zip(&term.keys).filter(|(point, _)| point.is_check);
         let keys: Vec<AnyKey> = checks.map(|(_, key)| (*key).into()).collect();
-        let covariance = variables.problem().covariance(&keys)?;
+        let covariance = match variables.problem().covariance(&keys) {
+            Err(ba::Error::Undetermined { .. }) => return Ok(f64::NAN),
+            covariance => covariance?,
+        };
         sum += covariance.matrix().trace() * options.noise.powi(2);
         count += keys.len();
     }
@@ -375,6 +379,13 @@ fn main() -> Outcome<()> {
             let surveyed = surveyed_points(&truth, NUM_CONTROL + NUM_CHECK, MIN_MARKS);
             let points = sigmas.measured(&surveyed, seed);
             let true_pixels = exact(&surveyed);
+            let of_lens = of_images(&truth, 0.0)?;
+            let mut bounds = [[0.0; 2]; 3];
+            for (bounds, method) in bounds.iter_mut().zip(Method::ALL) {
+                for (bound, has_check_marks) in bounds.iter_mut().zip([true, false]) {
+                    *bound = bound_m2(&of_lens, &points, method.refine(), has_check_marks)?;
+                }
+            }
             for (bend, radial) in [0.0, RADIAL].into_iter().enumerate() {
                 let model = of_images(&truth, radial)?;
                 for (k, method) in Method::ALL.into_iter().enumerate() {
@@ -382,12 +393,8 @@ fn main() -> Outcome<()> {
                     let sums = &mut sums[bend][k];
                     sums[0] += mean_square(&errors[NUM_CONTROL..]);
                     sums[2] += mean_square(&point_errors(&placed, &true_pixels));
-                    let of_lens = of_images(&truth, 0.0)?;
-                    let bound = |with_marks| {
-                        bound_m2(&of_lens, &points, method.refine(), with_marks).unwrap_or(f64::NAN)
-                    };
-                    sums[1] += bound(true);
-                    sums[3] += bound(false);
+                    sums[1] += bounds[k][0];
+                    sums[3] += bounds[k][1];
                     if let (1, 1, Method::Lens, Some(folder)) = (seed, bend, method, &folder) {
                         let folder = folder.join(scene.name.split(' ').next().unwrap_or("scene"));
                         write(&folder, "before", &model)?;
