@@ -162,6 +162,12 @@ fn stages(report: &Report) -> String {
                     "          closed loops: {pairs} image pairs were separated by drift before"
                 ));
             }
+            if !model.other_place.is_empty() {
+                let images = model.other_place.len();
+                line(format_args!(
+                    "          {images} images that match it are of another place that looks alike"
+                ));
+            }
             for failure in &model.failed {
                 line(format_args!("          {failure}"));
             }

@@ -43,6 +43,13 @@ pub enum Event {
         /// Number of iterations.
         iterations: usize,
     },
+    /// A model held two places that look alike as one. The images of the smaller one left it.
+    Divided {
+        /// Images that stay.
+        num_images: usize,
+        /// Images that left, and may give another model.
+        num_others: usize,
+    },
     /// A stage failed. The model is as it was before the stage.
     Failed(Failure),
     /// Two models were merged: growth from one of them reached the other, or their cameras move as

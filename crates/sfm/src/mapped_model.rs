@@ -1,4 +1,4 @@
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use tiepoint_geometry::RowPoses;
 use tiepoint_scene::{CameraId, ImageId, ImagePair, Reconstruction};
@@ -35,6 +35,9 @@ pub struct MappedModel {
     pub row_poses: BTreeMap<ImageId, RowPoses>,
     /// Number of image pairs reconnected by loop closure.
     pub num_loop_pairs: usize,
+    /// Images of a place that looks like the one of this model, and is another one: the mapper
+    /// had put both on one place. The model is not joined with a model of them.
+    pub other_place: BTreeSet<ImageId>,
     /// Stages that failed. The model is as it would be without them.
     pub failures: Vec<Failure>,
 }

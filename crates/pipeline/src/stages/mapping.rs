@@ -633,6 +633,7 @@ impl<'a> MapRequest<'a> {
             ModelReport {
                 scale,
                 loop_pairs: model.num_loop_pairs,
+                other_place: names_of(&model.reconstruction, &model.other_place),
                 failed: model.failures.iter().map(|failure| describe(failure, is_known)).collect(),
                 rig: RigReport::new(mode, is_known && !has_failed, model, metres_per_unit),
                 positions,
@@ -641,6 +642,14 @@ impl<'a> MapRequest<'a> {
         };
         models.iter().zip(scales).zip(positions).enumerate().map(report).collect()
     }
+}
+
+/// Names of images, in order.
+fn names_of(scene: &Reconstruction, images: &BTreeSet<ImageId>) -> Vec<String> {
+    let mut names: Vec<String> =
+        images.iter().map(|image| scene.image(*image).name.clone()).collect();
+    names.sort();
+    names
 }
 
 /// That the mapper failed with positions, as a sentence; the models without them stay.
@@ -846,7 +855,9 @@ pub fn named_event<'a>(event: &sfm::Event, name: &dyn Fn(ImageId) -> &'a str) ->
         }
         sfm::Event::LoopClosed { num_pairs } => Event::LoopClosed { pairs: num_pairs },
         // The report has these.
-        sfm::Event::Failed(_) | sfm::Event::Merged { .. } => return None,
+        sfm::Event::Failed(_) | sfm::Event::Merged { .. } | sfm::Event::Divided { .. } => {
+            return None;
+        }
     })
 }
 
@@ -1020,6 +1031,7 @@ mod tests {
             shutters: Vec::new(),
             row_poses: BTreeMap::new(),
             num_loop_pairs: 0,
+            other_place: BTreeSet::new(),
             failures: Vec::new(),
         }
     }

@@ -174,6 +174,10 @@ pub struct ModelReport {
     /// Number of image pairs that drift had separated and that loop closure merged.
     #[serde(default)]
     pub loop_pairs: usize,
+    /// Images of another place that looks like the one of this model: matches put both on one
+    /// place.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub other_place: Vec<String>,
     /// Optional stages that failed, as sentences; the model is that without them.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub failed: Vec<String>,
@@ -306,6 +310,7 @@ impl ModelReport {
                 .collect(),
             rig: None,
             loop_pairs: 0,
+            other_place: Vec::new(),
             failed: Vec::new(),
             scale: None,
             positions: None,

@@ -282,6 +282,7 @@ impl Saved for Solution {
             kept_intrinsics,
             intrinsics_sds,
             field_sds,
+            other_place,
         } = self;
         model.write(to);
         phase.write(to);
@@ -294,6 +295,7 @@ impl Saved for Solution {
         kept_intrinsics.write(to);
         intrinsics_sds.write(to);
         field_sds.write(to);
+        other_place.write(to);
     }
 
     fn read(from: &mut Reader) -> Option<Self> {
@@ -309,6 +311,7 @@ impl Saved for Solution {
             kept_intrinsics: Saved::read(from)?,
             intrinsics_sds: Saved::read(from)?,
             field_sds: Saved::read(from)?,
+            other_place: Saved::read(from)?,
         };
         let is_noise = match this.phase {
             Phase::Complete { noise } => noise.is_finite() && noise > 0.0,
@@ -334,6 +337,7 @@ impl Saved for MappedModel {
             shutters,
             row_poses: _,
             num_loop_pairs,
+            other_place,
             failures,
         } = self;
         reconstruction.write(to);
@@ -344,6 +348,7 @@ impl Saved for MappedModel {
         intrinsics_sds.write(to);
         shutters.write(to);
         num_loop_pairs.write(to);
+        other_place.write(to);
         failures.write(to);
     }
 
@@ -358,6 +363,7 @@ impl Saved for MappedModel {
             shutters: Saved::read(from)?,
             row_poses: BTreeMap::new(),
             num_loop_pairs: Saved::read(from)?,
+            other_place: Saved::read(from)?,
             failures: Saved::read(from)?,
         };
         this.row_poses = row_poses(&this.reconstruction, &this.shutters);

@@ -11,12 +11,14 @@ use super::checkpoint::{Checkpoints, Current};
 use super::input::Input;
 use super::refinement_schedule::RefinementSchedule;
 use super::refiner::Refiner;
+use super::solution::Solution;
 use crate::Error;
 use crate::event::{Event, Watch, notify};
 use crate::known_frames::KnownFrames;
 use crate::mapped_model::MappedModel;
-use crate::register::{Evidence, NextBestView, contradicted};
+use crate::register::{Evidence, NextBestView, contradicted, duplicate_place};
 use crate::rigs::Descriptors;
+use crate::timeline::{images_in_time, images_of_cameras};
 use crate::tracks::{TrackOptions, filter_all_points, triangulate_image};
 
 /// Minimum angle of points that register one image and then are filtered as all are (0.5°). With an
@@ -150,7 +152,7 @@ impl<'a> Growth<'a> {
             // Retries one failed image.
             let next = self.register_usual().or_else(|| self.register_weak());
             let Some(image) = next else {
-                if self.remove_contradicted() {
+                if self.remove_contradicted() || self.leave_other_place(watch)? {
                     continue;
                 }
                 return Ok(());
@@ -174,11 +176,10 @@ impl<'a> Growth<'a> {
     /// them, and those that do not see what others see; whether there were any. They may be
     /// registered again, now that none misleads another.
     fn remove_contradicted(&mut self) -> bool {
-        let Input { graph, options, known_rigs, .. } = self.refiner.input;
-        let is_free = self.refiner.constant_poses().is_none() && known_rigs.is_none();
-        if !matches!(self.extent, Extent::All) || !is_free {
+        if !self.may_lose_images() {
             return false;
         }
+        let Input { graph, options, .. } = self.refiner.input;
         let model = &mut self.refiner.solution.model;
         let num_registered = model.num_registered();
         // Poses that were given are no result of a growth.
@@ -194,6 +195,35 @@ impl<'a> Growth<'a> {
             filter_all_points(model, &options.filter);
         }
         is_changed
+    }
+
+    /// Leaves the images of the smaller of two places that look alike to another model; whether the
+    /// model held two places as one.
+    fn leave_other_place(&mut self, watch: &mut Watch) -> Result<bool, Error> {
+        let Input { scene, graph, options, .. } = self.refiner.input;
+        // Cameras with known times have continuity, which is better evidence.
+        let is_of_photos =
+            images_of_cameras(scene).values().all(|images| images_in_time(scene, images).is_none());
+        if !self.may_lose_images() || self.refiner.existing.is_some() || !is_of_photos {
+            return Ok(false);
+        }
+        let Solution { model, other_place, .. } = &mut self.refiner.solution;
+        let Some(images) = duplicate_place(graph, model, options.min_model_size, options.seed)
+        else {
+            return Ok(false);
+        };
+        images.iter().for_each(|image| model.deregister(*image));
+        filter_all_points(model, &options.filter);
+        let (num_images, num_others) = (model.num_registered(), images.len());
+        other_place.extend(images);
+        notify(watch, &Event::Divided { num_images, num_others })?;
+        Ok(true)
+    }
+
+    /// Whether images may leave a model that has grown: none of those with known poses.
+    fn may_lose_images(&self) -> bool {
+        let has_rigs = self.refiner.input.known_rigs.is_some();
+        matches!(self.extent, Extent::All) && !has_rigs && self.refiner.constant_poses().is_none()
     }
 
     /// Registers an image with the usual evidence, which also takes deferred images in the end.
@@ -256,7 +286,9 @@ impl<'a> Growth<'a> {
     fn frontier(&self) -> Vec<ImageId> {
         let (model, graph) = (self.model(), self.refiner.input.graph);
         let has_pose = |id: &ImageId| model.image(*id).cam_from_world().is_some();
-        let is_unregistered = |id: &ImageId| !self.mapped_images.contains(id) && !has_pose(id);
+        let Solution { other_place, .. } = &self.refiner.solution;
+        let is_open = |id: &ImageId| !self.mapped_images.contains(id) && !other_place.contains(id);
+        let is_unregistered = |id: &ImageId| is_open(id) && !has_pose(id);
         let is_next = |id: &ImageId| graph.neighbours(*id).iter().any(has_pose);
         let images = model.images().map(|(id, _)| id);
         let mut images: Vec<ImageId> = images.filter(is_unregistered).filter(is_next).collect();

@@ -58,8 +58,11 @@ pub(super) fn join_models(
             // The joined model is that of the checkpoint.
             Some(smaller) => Some((smaller, input.scene.clone())),
             None => (larger + 1..models.len()).find_map(|smaller| {
-                let [one, other] = [larger, smaller].map(|k| &models[k].reconstruction);
-                Some((smaller, joined(input, one, other)?))
+                let [one, other] = [larger, smaller].map(|k| &models[k]);
+                if are_two_places(one, other) {
+                    return None;
+                }
+                Some((smaller, joined(input, &one.reconstruction, &other.reconstruction)?))
             }),
         };
         let Some((smaller, model)) = found else {
@@ -70,6 +73,8 @@ pub(super) fn join_models(
         let taken = others.flat_map(|(_, model)| registered(&model.reconstruction)).collect();
         let mut refiner = Refiner::new(input, model, reborrow(terms));
         refiner.solution.initial_pair = models[larger].initial_pair;
+        let other_places = [larger, smaller].map(|k| models[k].other_place.clone());
+        refiner.solution.other_place = other_places.into_iter().flatten().collect();
         begin(checkpoints, models, larger, Some(smaller));
         // Registers images that neither model could register.
         match Growth::new(refiner, taken).finish(descriptors, watch, checkpoints) {
@@ -96,6 +101,15 @@ pub(super) fn sort_by_size(models: &mut [MappedModel]) {
         let model = &model.reconstruction;
         std::cmp::Reverse((model.num_registered(), model.num_tracks()))
     });
+}
+
+/// Whether most images of one model are of a place that looks like that of the other one.
+fn are_two_places(one: &MappedModel, other: &MappedModel) -> bool {
+    let is_other_place = |of: &MappedModel, model: &MappedModel| {
+        let images = registered(&model.reconstruction);
+        2 * images.intersection(&of.other_place).count() > images.len()
+    };
+    is_other_place(one, other) || is_other_place(other, one)
 }
 
 pub(super) fn registered(model: &Reconstruction) -> BTreeSet<ImageId> {

@@ -147,6 +147,7 @@ impl Refiner<'_> {
             calibration_evidence,
             kept_intrinsics,
             field_sds,
+            other_place,
             ..
         } = self.solution;
         // Later adjustments may refine them.
@@ -166,6 +167,7 @@ impl Refiner<'_> {
             shutters,
             row_poses,
             num_loop_pairs,
+            other_place,
             failures,
         }
     }

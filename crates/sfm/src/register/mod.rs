@@ -2,6 +2,7 @@
 
 mod absolute_pose;
 mod continuity;
+mod duplicates;
 mod evidence;
 mod localize;
 mod missing;
@@ -14,6 +15,7 @@ mod visibility;
 pub(crate) use absolute_pose::candidates;
 pub use absolute_pose::register_image;
 pub(crate) use continuity::Timelines;
+pub(crate) use duplicates::duplicate_place;
 pub(crate) use evidence::Evidence;
 pub use localize::{Localization, QueryCamera, localize_image};
 pub(crate) use missing::contradicted;

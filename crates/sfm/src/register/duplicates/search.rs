@@ -1,0 +1,89 @@
+//! The search for the best division: local search from eigenvectors and random starts, then
+//! combinations of the best results.
+//!
+//! Local optima differ from the best division by whole sets of neighbouring images. The images that
+//! the best results agree about, up to an exchange of the groups, are moved together (after tour
+//! merging, Cook & Seymour 2003).
+
+use std::collections::BTreeMap;
+
+use rayon::prelude::*;
+use tiepoint_geometry::Rng;
+
+use super::division::Points;
+use super::evidence::Evidence;
+use super::expected::Expectations;
+use super::spectral;
+
+/// Random starts. Local optima of two houses are right in some parts each; with half as many the
+/// best division of each of the sets in docs/benchmarks/photos.md is found as well.
+const STARTS: u64 = 16;
+/// Results that are combined: their images fall into at most 2^RESULTS sets.
+const RESULTS: usize = 3;
+const MAX_COMBINATIONS: usize = 10;
+/// Key of the random streams.
+const STREAM: u64 = 0x6475_7062;
+
+/// The best division that is found; `None` if nothing suggests one.
+pub(super) fn best_division(expectations: &Expectations, seed: u64) -> Option<Vec<bool>> {
+    let points = Points::new(expectations)?;
+    let local_best = |sides: Vec<bool>| {
+        let sides = points.local_best(sides, true);
+        (points.sum(&sides), sides)
+    };
+    let mut results: Vec<(f64, Vec<bool>)> =
+        spectral::divisions(expectations, seed).into_par_iter().map(local_best).collect();
+    sort(&mut results);
+    // Most collections end here.
+    let (_, first) = results.first()?;
+    if !Evidence::new(expectations, first).suggests_two_places() {
+        return None;
+    }
+    let random = |start: u64| {
+        let mut rng = Rng::stream(seed, &[STREAM, start]);
+        local_best(expectations.images.iter().map(|_| rng.below(2) == 1).collect())
+    };
+    results.par_extend((0..STARTS).into_par_iter().map(random));
+    sort(&mut results);
+    for _ in 0..MAX_COMBINATIONS {
+        let combined = combined(&points, &results);
+        if results.contains(&combined) {
+            break;
+        }
+        results.push(combined);
+        sort(&mut results);
+    }
+    results.into_iter().next().map(|(_, sides)| sides)
+}
+
+/// The best first, each once.
+fn sort(results: &mut Vec<(f64, Vec<bool>)>) {
+    results.sort_by(|a, b| b.0.total_cmp(&a.0).then_with(|| a.1.cmp(&b.1)));
+    results.dedup();
+}
+
+/// The best combination of the best results, improved.
+fn combined(points: &Points, results: &[(f64, Vec<bool>)]) -> (f64, Vec<bool>) {
+    let best = &results[..results.len().min(RESULTS)];
+    let mut sets: BTreeMap<Vec<bool>, Vec<usize>> = BTreeMap::new();
+    for image in 0..best[0].1.len() {
+        let labels = best.iter().map(|(_, sides)| sides[image]).collect();
+        sets.entry(labels).or_default().push(image);
+    }
+    // The set of the first image, which is in the first group of all, stays.
+    let sets: Vec<Vec<usize>> = sets.into_values().filter(|set| !set.contains(&0)).collect();
+    let combination = |moved: usize| {
+        let mut sides = best[0].1.clone();
+        for (_, set) in sets.iter().enumerate().filter(|(k, _)| moved >> k & 1 == 1) {
+            set.iter().for_each(|image| sides[*image] = !sides[*image]);
+        }
+        (points.sum(&sides), sides)
+    };
+    let better = |a: (f64, Vec<bool>), b: (f64, Vec<bool>)| if b.0 > a.0 { b } else { a };
+    let all = (0..1usize << sets.len()).into_par_iter().map(combination);
+    // In order: the first of equal ones.
+    let all: Vec<(f64, Vec<bool>)> = all.collect();
+    let best = all.into_iter().reduce(better).unwrap_or_else(|| best[0].clone());
+    let improved = points.local_best(best.1.clone(), false);
+    better(best, (points.sum(&improved), improved))
+}
