@@ -55,7 +55,7 @@ def report_of(tasks: list[Work], wall_s: dict[str, float]) -> Report:
     for node in sorted({task["node"] for task in tasks}):
         own = [task for task in tasks if task["node"] == node]
         nodes[node] = NodeTotals(tasks=len(own), seconds=sum(task["seconds"] for task in own))
-    return Report(stages=stages, nodes=nodes, tasks=tasks, report=tasks[-1]["report"] or {})
+    return Report(stages=stages, nodes=nodes, tasks=tasks, report=tasks[-1]["report"])
 
 
 def text_of(report: Report) -> str:
