@@ -165,6 +165,10 @@ def _nodes() -> list[dict[str, Any]]:
     return [node for node in ray.nodes() if node["Alive"]]  # type: ignore[no-untyped-call]
 
 
+class Lost(tiepoint.Error):
+    """A task that did not come to its end."""
+
+
 class _Job:
     """`cpus`: of a shard, and of a command that completes a stage."""
 
@@ -198,6 +202,8 @@ class _Job:
         one map, too."""
         try:
             [first] = self.run("map", ["1"])
+        except Lost:
+            raise
         except tiepoint.Error as error:
             self.tell({"event": "noted", "what": f"mapping on one node: {error}"})
             self.run("map", [None])
@@ -240,7 +246,7 @@ class _Job:
             cause = error.cause if isinstance(error, RayTaskError) else error
             if isinstance(cause, (tiepoint.Error, tiepoint.UsageError)):
                 raise cause from None
-            raise tiepoint.Error(self.why(error, task)) from None
+            raise Lost(self.why(error, task)) from None
 
     def why(self, error: RayError, task: Task) -> str:
         began = self.state().get(task.key(), {})
@@ -260,7 +266,8 @@ class _Job:
             )
         cause = error.cause if isinstance(error, RayTaskError) else error
         text = str(cause).strip() or type(cause).__name__
-        return f"{where} failed: {text.splitlines()[0]}"
+        why = text.splitlines()[0].rstrip(".")
+        return f"{where} failed: {why}; a further call goes on from the completed tasks"
 
     def state(self) -> dict[str, dict[str, Any]]:
         state: dict[str, dict[str, Any]] = {}
