@@ -14,5 +14,6 @@ def drive(tmp_path_factory):
 @pytest.fixture(scope="session")
 def workspace(drive, tmp_path_factory):
     folder = tmp_path_factory.mktemp("model") / "ws"
-    tiepoint.reconstruct(drive, folder)
+    # Tests hold and remove single images, which those of a rig are not.
+    tiepoint.reconstruct(drive, folder, rig="off")
     return folder

@@ -295,11 +295,12 @@ def test_adjustment_keeps_what_is_fixed_and_follows_what_is_known(workspace):
     assert (moved[:3] == 0).all() and moved[3:].min() > 0
     # Centres that are scaled by 1 % pull the model with them.
     wanted = 1.01 * truth
-    wanted[1] = np.nan
+    free = np.bincount(model.observations[:, 1]).argmax()
+    wanted[free] = np.nan
     tiepoint.bundle_adjust(model, refine="none", centers=wanted, center_sigmas=1e-4)
     errors = np.linalg.norm(model.centers - 1.01 * truth, axis=1)
-    # The image without a centre follows its keypoints.
-    assert np.delete(errors, 1).max() < 1e-3 and errors[1] < 1e-2
+    # The image without a centre follows its keypoints: there are most of them.
+    assert np.delete(errors, free).max() < 1e-3 and errors[free] < 1e-2
     focal = model.cameras[0].params[0]
     prior = (0, 1.02 * focal, 1e-3)
     tiepoint.bundle_adjust(model, refine="focal", focal_priors=[prior], loss="cauchy")

@@ -15,6 +15,7 @@ STEPS = {"image_done", "image_skipped", "pair_done", "dense_done"}
 # Events that are told in a line of their own, and their texts.
 LINES = {
     "image_skipped": "skipped {why}",
+    "noted": "{what}",
     "pairs_chosen": "matching {pairs} pairs ({selection})",
     "colors_missing": "the points have no colours: {why}",
     "camera_calibrated": "the camera of {image} is calibrated by {calibration}",

@@ -8,7 +8,9 @@ process, on any number of nodes.
 try:
     import ray as _ray  # noqa: F401
 except ImportError:
-    raise ImportError("tiepoint.cluster needs Ray: pip install 'tiepoint[ray]'") from None
+    why = "tiepoint.cluster needs Ray: pip install 'tiepoint[ray]'"
+    # With the name, `python -m` says it in one line.
+    raise ImportError(why, name=__name__) from None
 
 from .driver import reconstruct
 from .report import NodeTotals, Report, StageTotals

@@ -6,6 +6,7 @@ import json
 import logging
 import os
 import re
+import socket
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -33,6 +34,8 @@ SHARDS = 32
 INTERVAL_S = 0.5
 # Seconds for an answer of the board: without one, the progress stands still.
 BOARD_S = 5.0
+# Seconds for a node to answer.
+CONNECT_S = 10.0
 # What tasks give themselves, and what is no work for shards.
 NOT_OPTIONS = {"inputs", "output", "workspace", "shard", "submap", "merge", "redo", "threads"}
 NOT_OPTIONS |= {"progress", "database", "every"}
@@ -128,12 +131,13 @@ def _connected(address: Optional[str], cpus: int) -> Iterator[int]:
         os.environ.setdefault("RAY_task_oom_retries", "3")
         # By itself, Ray would also look for a cluster that ran on this machine once.
         address = address or os.environ.get("RAY_ADDRESS") or "local"
+        _knock(address)
         try:
             ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR)
-        except (ConnectionError, ValueError, RuntimeError) as error:
+        except (ConnectionError, ValueError, RuntimeError, RayError) as error:
             raise tiepoint.Error(
-                f"no Ray cluster answers at {address}, or it asks for another token than that of "
-                f"RAY_AUTH_TOKEN: {error}"
+                f"cannot join the Ray cluster at {address}: {str(error).strip().splitlines()[0]}; "
+                "if it has a token, set RAY_AUTH_MODE=token and RAY_AUTH_TOKEN"
             ) from None
     try:
         largest = max(int(node["Resources"].get("CPU", 0)) for node in _nodes())
@@ -147,8 +151,22 @@ def _connected(address: Optional[str], cpus: int) -> Iterator[int]:
             ray.shutdown()
 
 
+def _knock(address: str) -> None:
+    """Whether somebody listens. Ray itself tries for a quarter of an hour."""
+    host, _, port = address.rpartition(":")
+    if port.isdecimal() and "://" not in address:
+        try:
+            socket.create_connection((host.strip("[]"), int(port)), CONNECT_S).close()
+        except (OSError, OverflowError) as error:
+            raise tiepoint.Error(f"no Ray cluster answers at {address}: {error}") from None
+
+
 def _nodes() -> list[dict[str, Any]]:
     return [node for node in ray.nodes() if node["Alive"]]  # type: ignore[no-untyped-call]
+
+
+class Lost(tiepoint.Error):
+    """A task that did not come to its end."""
 
 
 class _Job:
@@ -184,11 +202,13 @@ class _Job:
         one map, too."""
         try:
             [first] = self.run("map", ["1"])
+        except Lost:
+            raise
         except tiepoint.Error as error:
             self.tell({"event": "noted", "what": f"mapping on one node: {error}"})
             self.run("map", [None])
             return
-        if (first["report"] or {})["tile"] is not None:
+        if first["report"]["tile"] is not None:
             count = int(str(first["shard"]).partition("/")[2])
             self.run("map", [str(number) for number in range(2, count + 1)])
         self.run("map", ["merge"])
@@ -221,13 +241,12 @@ class _Job:
         """What a task has done; an error in a sentence."""
         try:
             done: Work = ray.get(ref)
-        except RayError as error:
-            raise tiepoint.Error(self.why(error, task)) from None
-        if done["error"] is None:
             return done
-        if done["is_usage"]:
-            raise tiepoint.UsageError(done["error"])
-        raise tiepoint.Error(f"{task.key()} on node {done['node']}: {done['error']}")
+        except RayError as error:
+            cause = error.cause if isinstance(error, RayTaskError) else error
+            if isinstance(cause, (tiepoint.Error, tiepoint.UsageError)):
+                raise cause from None
+            raise Lost(self.why(error, task)) from None
 
     def why(self, error: RayError, task: Task) -> str:
         began = self.state().get(task.key(), {})
@@ -247,7 +266,8 @@ class _Job:
             )
         cause = error.cause if isinstance(error, RayTaskError) else error
         text = str(cause).strip() or type(cause).__name__
-        return f"{where} failed: {text.splitlines()[0]}"
+        why = text.splitlines()[0].rstrip(".")
+        return f"{where} failed: {why}; a further call goes on from the completed tasks"
 
     def state(self) -> dict[str, dict[str, Any]]:
         state: dict[str, dict[str, Any]] = {}

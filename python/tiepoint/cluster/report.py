@@ -55,20 +55,21 @@ def report_of(tasks: list[Work], wall_s: dict[str, float]) -> Report:
     for node in sorted({task["node"] for task in tasks}):
         own = [task for task in tasks if task["node"] == node]
         nodes[node] = NodeTotals(tasks=len(own), seconds=sum(task["seconds"] for task in own))
-    return Report(stages=stages, nodes=nodes, tasks=tasks, report=tasks[-1]["report"] or {})
+    return Report(stages=stages, nodes=nodes, tasks=tasks, report=tasks[-1]["report"])
 
 
 def text_of(report: Report) -> str:
     """A table of stages and nodes."""
-    lines = [f"{'':10} {'tasks':>6} {'seconds':>9} {'wall':>8} {'images':>8} {'pairs':>8}"]
+    width = max(map(len, [*report["stages"], *report["nodes"]]))
+    lines = [f"{'':{width}} {'tasks':>6} {'seconds':>9} {'wall':>8} {'images':>8} {'pairs':>8}"]
     for stage, sums in report["stages"].items():
         kept = f"  ({sums['kept']} kept)" if sums["kept"] else ""
         lines.append(
-            f"{stage:10} {sums['tasks']:6} {sums['seconds']:9.1f} {sums['wall_s']:8.1f} "
+            f"{stage:{width}} {sums['tasks']:6} {sums['seconds']:9.1f} {sums['wall_s']:8.1f} "
             f"{sums['images']:8} {sums['pairs']:8}{kept}"
         )
     for node, of_node in report["nodes"].items():
-        lines.append(f"{node:10} {of_node['tasks']:6} {of_node['seconds']:9.1f}")
+        lines.append(f"{node:{width}} {of_node['tasks']:6} {of_node['seconds']:9.1f}")
     for model in report["report"].get("models", []):
         lines.append(f"{model['path']}: {model['registered']} images, {model['points']} points")
     return "\n".join(lines)

@@ -34,10 +34,7 @@ class Work(TypedDict):
     inliers: int
     # Whether an earlier job did it.
     is_kept: bool
-    # Why it failed, in the words of the program, and whether an option is invalid.
-    error: Optional[str]
-    is_usage: bool
-    report: Optional[dict[str, Any]]
+    report: dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -128,19 +125,18 @@ def work(task: Task, board: Any) -> Work:
     node = f"{address} ({ray.get_runtime_context().get_node_id()[:6]})"
     board.begin.remote(task.key(), node)
     watch = Watch(task.key(), board)
-    error: Optional[Exception] = None
-    report: Optional[dict[str, Any]] = None
     try:
         report = _run(task, watch)
-    except (tiepoint.Error, tiepoint.UsageError, OSError) as failure:
-        error = failure
+    except tiepoint.UsageError:
+        raise
+    except (tiepoint.Error, OSError) as error:
+        raise tiepoint.Error(f"{task.key()} on node {node}: {error}") from None
     # Images of a command that completes a stage are those of the shards.
     counts = watch.counts if task.is_shard() else dict.fromkeys(watch.counts, 0)
     board.step.remote(task.key(), watch.total, watch.total)
-    shard = (report or {}).get("shard", task.part) if task.is_shard() else None
     return Work(
         stage=task.stage,
-        shard=shard,
+        shard=report["shard"] if task.is_shard() else None,
         node=node,
         seconds=time.monotonic() - start,
         images=counts["images"],
@@ -149,8 +145,6 @@ def work(task: Task, board: Any) -> Work:
         matches=counts["matches"],
         inliers=counts["inliers"],
         is_kept=watch.is_kept,
-        error=None if error is None else str(error),
-        is_usage=isinstance(error, tiepoint.UsageError),
         report=report,
     )
 
