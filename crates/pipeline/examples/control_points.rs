@@ -43,8 +43,8 @@ type Outcome<T> = Result<T, Box<dyn std::error::Error>>;
 
 const NUM_CHECK: usize = 20;
 const MIN_MARKS: usize = 5;
-/// Images with fewer points have no pose, as after mapping: the first and the last ones of the drive
-/// have one to three, which do not determine it.
+/// Images with fewer points have no pose, as after mapping: the first and the last ones of the
+/// drive have one to three, which do not determine it.
 const MIN_IMAGE_POINTS: usize = 15;
 /// What a wrong point and a wrong mark are off by.
 const WRONG_M: [f64; 3] = [0.3, 1.0, 3.0];

@@ -1,13 +1,13 @@
 //! What the residuals of measured points tell about errors of single points.
 //!
-//! Of measured coordinates ℓ with covariance Σ and adjusted ones x̂ with covariance C, the residuals
-//! v = x̂ − ℓ have the covariance Σ − C. In deviations of the coordinates that is R = I − Σ^-½ C
-//! Σ^-½, the redundancy matrix: a point whose coordinates are off by b deviations has residuals of
-//! −R b, and R is also the information of b. So freeing the coordinates of a point lowers the sum of
-//! squares by T = vᵀ R⁻¹ v of its block, which is χ² with three degrees of freedom if the point is
-//! right (data snooping: Baarda 1968; Teunissen 2006, Testing theory, chapter 4). An error is
-//! detectable if T exceeds its quantile in four of five cases, which takes a non-centrality bᵀ R b
-//! = λ₀.
+//! Of measured coordinates ℓ with covariance Σ and adjusted ones x̂ with covariance C, the
+//! residuals v = x̂ − ℓ have the covariance Σ − C. In deviations of the coordinates that is
+//! R = I − Σ^-½ C Σ^-½, the redundancy matrix: a point whose coordinates are off by b deviations
+//! has residuals of −R b, and R is also the information of b. So freeing the coordinates of a point
+//! lowers the sum of squares by T = vᵀ R⁻¹ v of its block, which is χ² with three degrees of
+//! freedom if the point is right (data snooping: Baarda 1968; Teunissen 2006, Testing theory,
+//! chapter 4). An error is detectable if T exceeds its quantile in four of five cases, which takes
+//! a non-centrality bᵀ R b = λ₀.
 //!
 //! An error of one point also moves the residuals of others, so that T of a right point may exceed
 //! the quantile. A point is wrong only if it contradicts the others whichever other point is freed
