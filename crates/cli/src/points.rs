@@ -18,11 +18,26 @@ pub(crate) fn line(point: &ControlPointReport) -> String {
         [] => String::new(),
         images => format!("; wrong marks in {}", printable(&images.join(", "))),
     };
-    let end = if point.is_wrong { "; the others contradict it, and it is not used" } else { "" };
+    let tested = match point.detectable_m.map(in_metres) {
+        _ if point.detectable_m == [None; 3] => String::new(),
+        [x, y, z] => format!("; errors from {x} {y} {z} m on are detected"),
+    };
+    let end = match point.alternatives.as_slice() {
+        [] if point.is_wrong => "; the others contradict it, and it is not used".to_owned(),
+        [] => String::new(),
+        others => format!(
+            "; the others contradict it or {}, and it is not used",
+            printable(&others.join(", "))
+        ),
+    };
     format!(
         "{kind} point {name}: {inlier_marks} of {marks} marks agree to {rms_px:.2} px, errors \
-         {x:.3} {y:.3} {z:.3} m{wrong}{end}"
+         {x:.3} {y:.3} {z:.3} m{wrong}{tested}{end}"
     )
+}
+
+fn in_metres(size_m: Option<f64>) -> String {
+    size_m.map_or("∞".to_owned(), |size_m| format!("{size_m:.2}"))
 }
 
 /// All points of a model, and the root mean squares of their errors.

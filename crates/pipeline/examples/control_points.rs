@@ -1,13 +1,15 @@
 //! What control points do to a model: `cargo run --release -p tiepoint-pipeline --example
-//! control_points -- [--seeds 8] [--marks 3] [--survey 0.01] [--write FOLDER]`.
+//! control_points -- [--seeds 8] [--control 4] [--marks 3] [--survey 0.01] [--only errors|wrong]
+//! [--write FOLDER]`.
 //!
-//! A model of keypoints is what images alone give. It is brought to four control points by a
+//! A model of keypoints is what images alone give. It is brought to the control points by a
 //! similarity, or adjusted together with them. The lens of the model is the true one, or it is off
 //! and bends the model. Each line is the root mean square distance over the check points of all
 //! seeds: by their marks, which have noise as those of the control points; by their true pixels,
 //! which is the error of the model; and the Cramér-Rao bound of both (NaN where a variable of the
-//! problem is undetermined). Then one control point is off by 0.3 m, or one mark by 60 px:
-//! how often it is named, and how many right ones are.
+//! problem is undetermined). Then one control point is off by 0.3, 1 or 3 m, or one mark by 60 px:
+//! how often it is named, how often it is one of several that may be wrong, how many right ones are
+//! named, and the errors that are detected and attributed in 80 % of cases.
 //! `--write FOLDER` writes the models of the first seed before and after, and the points, for a
 //! second opinion (`bench/positions.py points`).
 
@@ -24,12 +26,13 @@ use tiepoint_pipeline::sfm::adjust::{
 use tiepoint_pipeline::sfm::ba::factors::Prior;
 use tiepoint_pipeline::sfm::ba::{self, AnyKey, Key};
 use tiepoint_pipeline::sfm::geometry::nalgebra::{Vector2, Vector3};
+use tiepoint_pipeline::sfm::geometry::numeric::median;
 use tiepoint_pipeline::sfm::geometry::{CameraModelKind, Intrinsics, Loss, Rng};
 use tiepoint_pipeline::sfm::positions::{
     MarkedPoint, PointError, adjust_to_points, align_to_points, first_similarity_to_points,
     point_errors,
 };
-use tiepoint_pipeline::sfm::scene::{ImageId, Reconstruction};
+use tiepoint_pipeline::sfm::scene::{Image, ImageId, Reconstruction};
 use tiepoint_synth::trajectory::{Carrier, Motion};
 use tiepoint_synth::{
     Drive, DriveOptions, FeatureOptions, FeatureScene, Mount, RouteKind, SurveyedPoint,
@@ -38,11 +41,13 @@ use tiepoint_synth::{
 
 type Outcome<T> = Result<T, Box<dyn std::error::Error>>;
 
-const NUM_CONTROL: usize = 4;
 const NUM_CHECK: usize = 20;
 const MIN_MARKS: usize = 5;
+/// Images with fewer points have no pose, as after mapping: the first and the last ones of the
+/// drive have one to three, which do not determine it.
+const MIN_IMAGE_POINTS: usize = 15;
 /// What a wrong point and a wrong mark are off by.
-const WRONG_M: f64 = 0.3;
+const WRONG_M: [f64; 3] = [0.3, 1.0, 3.0];
 const WRONG_PX: f64 = 60.0;
 /// How far a wrong lens is off: the share of the focal length at half a focal length from the
 /// middle is an eighth of it.
@@ -95,22 +100,28 @@ impl Scene {
         })?;
         let features =
             FeatureOptions { seed, observations: self.observations, ..FeatureOptions::default() };
-        Ok(FeatureScene::new(&drive, &features)?.truth().clone())
+        let mut truth = FeatureScene::new(&drive, &features)?.truth().clone();
+        let few = |image: &Image| image.num_points() < MIN_IMAGE_POINTS;
+        let few: Vec<ImageId> =
+            truth.registered().filter(|(_, image, _)| few(image)).map(|(id, ..)| id).collect();
+        few.into_iter().for_each(|image| truth.deregister(image));
+        Ok(truth)
     }
 }
 
-/// Deviations of the survey and of the marks.
+/// Number of control points, and deviations of the survey and of the marks.
 #[derive(Clone, Copy)]
-struct Sigmas {
+struct Survey {
+    num_control: usize,
     survey_m: f64,
     mark_px: f64,
 }
 
-impl Sigmas {
+impl Survey {
     fn measured(self, points: &[SurveyedPoint], seed: u64) -> Vec<MarkedPoint> {
         let mut rng = Rng::stream(seed, &[40]);
         let measured = points.iter().enumerate().map(|(index, point)| {
-            let is_check = index >= NUM_CONTROL;
+            let is_check = index >= self.num_control;
             // Check points are exact, so that their errors are those of the model.
             let sigma_m = if is_check { 0.0 } else { self.survey_m };
             let mut noisy = |(image, pixel): &(ImageId, Vector2<f64>)| {
@@ -130,7 +141,7 @@ impl Sigmas {
 }
 
 /// The check points by their true pixels.
-fn exact(points: &[SurveyedPoint]) -> Vec<MarkedPoint> {
+fn exact(points: &[SurveyedPoint], num_control: usize) -> Vec<MarkedPoint> {
     let exact = |point: &SurveyedPoint| MarkedPoint {
         xyz: point.xyz,
         sigmas_m: Vector3::repeat(1e-3),
@@ -138,7 +149,7 @@ fn exact(points: &[SurveyedPoint]) -> Vec<MarkedPoint> {
         mark_sigma_px: 3.0,
         marks: point.marks.clone(),
     };
-    points.iter().skip(NUM_CONTROL).map(exact).collect()
+    points.iter().skip(num_control).map(exact).collect()
 }
 
 /// The model that images alone give with a fixed lens.
@@ -286,48 +297,112 @@ fn mean_square(errors: &[PointError]) -> f64 {
     squares.clone().sum::<f64>() / squares.count() as f64
 }
 
-/// Names of wrong points and marks: found of those that are wrong, and named of those that are not.
-#[derive(Clone, Copy, Default)]
+/// What is said of wrong points or marks, and of right ones.
+#[derive(Clone, Default)]
 struct Named {
+    wrong: usize,
     right: usize,
+    /// Wrong ones that are named; that are among several of which one is wrong; that are left out,
+    /// or are such that another one is left out in their place.
     found: usize,
+    among: usize,
+    /// Right ones that are named, and that are left out in place of the wrong one.
     others: usize,
+    in_its_place: usize,
+    /// Errors of the wrong coordinate that are detected, and attributed.
+    detectable_m: Vec<f64>,
+    separable_m: Vec<f64>,
+}
+
+impl Named {
+    fn count(&mut self, points: &[MarkedPoint], errors: &[PointError], wrong: Option<usize>) {
+        for (index, error) in errors.iter().enumerate().filter(|(k, _)| !points[*k].is_check) {
+            let is_among = |k: usize| error.alternatives.contains(&k);
+            match wrong == Some(index) {
+                true => {
+                    self.wrong += 1;
+                    self.found += usize::from(error.is_wrong);
+                    self.among += usize::from(!error.alternatives.is_empty());
+                }
+                false => {
+                    self.right += 1;
+                    self.others += usize::from(error.is_wrong);
+                    self.among += usize::from(wrong.is_some_and(is_among));
+                    self.in_its_place += usize::from(!error.alternatives.is_empty());
+                }
+            }
+        }
+    }
+
+    fn add(&mut self, other: Self) {
+        self.wrong += other.wrong;
+        self.right += other.right;
+        self.found += other.found;
+        self.among += other.among;
+        self.others += other.others;
+        self.in_its_place += other.in_its_place;
+        self.detectable_m.extend(other.detectable_m);
+        self.separable_m.extend(other.separable_m);
+    }
+
+    fn line(&self) -> String {
+        let Self { wrong, right, found, among, others, in_its_place, .. } = self;
+        let sizes = [&self.detectable_m, &self.separable_m].map(|sizes| {
+            let median_m = median(&mut sizes.clone());
+            median_m.map_or(String::new(), |size_m| format!("{size_m:.2}"))
+        });
+        format!(
+            "{found} of {wrong} | {among} | {others} of {right} | {in_its_place} | {}",
+            sizes.join(" | ")
+        )
+    }
 }
 
 fn named(
     truth_points: &[SurveyedPoint],
     bent: &Reconstruction,
-    sigmas: Sigmas,
+    survey: Survey,
     seed: u64,
-) -> Outcome<[Named; 3]> {
-    let mut all = [Named::default(); 3];
-    let points = sigmas.measured(truth_points, seed);
-    let count = |named: &mut Named, errors: &[PointError], wrong: Option<usize>| {
-        for (index, error) in errors.iter().enumerate().filter(|(k, _)| !points[*k].is_check) {
-            match wrong == Some(index) {
-                true => named.found += usize::from(error.is_wrong),
-                false => named.others += usize::from(error.is_wrong),
-            }
-            named.right += usize::from(wrong != Some(index));
-        }
-    };
+) -> Outcome<Vec<(String, Named)>> {
+    let points = survey.measured(truth_points, seed);
+    let index = seed as usize % survey.num_control;
+    let axis = seed as usize % 3;
+    let mut all = Vec::new();
     let (_, errors) = Method::Lens.run(bent, &points)?;
-    count(&mut all[0], &errors, None);
-    let mut wrong = points.clone();
-    let index = seed as usize % NUM_CONTROL;
-    wrong[index].xyz[seed as usize % 3] += WRONG_M;
-    let (_, errors) = Method::Lens.run(bent, &wrong)?;
-    count(&mut all[1], &errors, Some(index));
+    let mut nothing = Named::default();
+    nothing.count(&points, &errors, None);
+    let size_m = |sizes_m: Option<Vector3<f64>>| sizes_m.map(|sizes_m| sizes_m[axis]);
+    let detectable_m: Vec<f64> = size_m(errors[index].detectable_m).into_iter().collect();
+    let separable_m: Vec<f64> = size_m(errors[index].separable_m).into_iter().collect();
+    all.push(("nothing".to_owned(), nothing));
+    for wrong_m in WRONG_M {
+        let mut wrong = points.clone();
+        wrong[index].xyz[axis] += wrong_m;
+        let mut named = Named {
+            detectable_m: detectable_m.clone(),
+            separable_m: separable_m.clone(),
+            ..Named::default()
+        };
+        match Method::Lens.run(bent, &wrong) {
+            Ok((_, errors)) => named.count(&points, &errors, Some(index)),
+            // The points are refused, and none is named.
+            Err(_) => named.wrong += 1,
+        }
+        all.push((format!("a point, by {wrong_m} m"), named));
+    }
     let mut wrong = points.clone();
     wrong[index].marks[0].1.x += WRONG_PX;
     let (_, errors) = Method::Lens.run(bent, &wrong)?;
     let image = wrong[index].marks[0].0;
+    let mut marks = Named::default();
     for (k, error) in errors.iter().enumerate().filter(|(k, _)| !points[*k].is_check) {
-        all[2].right += error.num_marks - usize::from(k == index);
+        marks.wrong += usize::from(k == index);
+        marks.right += error.num_marks - usize::from(k == index);
         let is_wrong = |mark: &&ImageId| k == index && **mark == image;
-        all[2].found += error.wrong_marks.iter().filter(is_wrong).count();
-        all[2].others += error.wrong_marks.iter().filter(|mark| !is_wrong(mark)).count();
+        marks.found += error.wrong_marks.iter().filter(is_wrong).count();
+        marks.others += error.wrong_marks.iter().filter(|mark| !is_wrong(mark)).count();
     }
+    all.push((format!("a mark, by {WRONG_PX} px"), marks));
     Ok(all)
 }
 
@@ -362,71 +437,94 @@ fn write_points(folder: &Path, model: &Reconstruction, points: &[MarkedPoint]) -
     Ok(std::fs::write(folder.join("points.csv"), text)?)
 }
 
+/// Root mean squares of the check points, with their bounds, for each lens and method.
+fn print_errors(scene: &Scene, survey: Survey, seeds: u64, folder: Option<&Path>) -> Outcome<()> {
+    let num_control = survey.num_control;
+    let mut sums = [[[0.0; 4]; 3]; 2];
+    for seed in 1..=seeds {
+        let truth = scene.truth(seed)?;
+        let surveyed = surveyed_points(&truth, num_control + NUM_CHECK, MIN_MARKS);
+        let points = survey.measured(&surveyed, seed);
+        let true_pixels = exact(&surveyed, num_control);
+        let of_lens = of_images(&truth, 0.0)?;
+        let mut bounds = [[0.0; 2]; 3];
+        for (bounds, method) in bounds.iter_mut().zip(Method::ALL) {
+            for (bound, has_check_marks) in bounds.iter_mut().zip([true, false]) {
+                *bound = bound_m2(&of_lens, &points, method.refine(), has_check_marks)?;
+            }
+        }
+        for (bend, radial) in [0.0, RADIAL].into_iter().enumerate() {
+            let model = of_images(&truth, radial)?;
+            for (k, method) in Method::ALL.into_iter().enumerate() {
+                let (placed, errors) = method.run(&model, &points)?;
+                let sums = &mut sums[bend][k];
+                sums[0] += mean_square(&errors[num_control..]);
+                sums[2] += mean_square(&point_errors(&placed, &true_pixels));
+                sums[1] += bounds[k][0];
+                sums[3] += bounds[k][1];
+                if let (1, 1, Method::Lens, Some(folder)) = (seed, bend, method, folder) {
+                    let folder = folder.join(scene.name.split(' ').next().unwrap_or("scene"));
+                    write(&folder, "before", &model)?;
+                    write(&folder, "after", &placed)?;
+                    write_points(&folder, &model, &points)?;
+                }
+            }
+        }
+    }
+    for (lens, sums) in ["right", "off"].iter().zip(&sums) {
+        for (method, sums) in Method::ALL.iter().zip(sums) {
+            let cells = sums.map(|sum| format!("{:.2}", 100.0 * (sum / seeds as f64).sqrt()));
+            println!("| {} | {lens} | {} | {} |", scene.name, method.name(), cells.join(" | "));
+        }
+    }
+    Ok(())
+}
+
+/// What is said of wrong points and marks.
+fn print_wrong(scene: &Scene, survey: Survey, seeds: u64) -> Outcome<()> {
+    let mut all: Vec<(String, Named)> = Vec::new();
+    for seed in 1..=seeds {
+        let truth = scene.truth(seed)?;
+        let surveyed = surveyed_points(&truth, survey.num_control + NUM_CHECK, MIN_MARKS);
+        let found = named(&surveyed, &of_images(&truth, RADIAL)?, survey, seed)?;
+        if all.is_empty() {
+            all = found;
+            continue;
+        }
+        for (sum, (_, one)) in all.iter_mut().zip(found) {
+            sum.1.add(one);
+        }
+    }
+    for (what, named) in all {
+        println!("| {} | {} | {what} | {} |", scene.name, survey.num_control, named.line());
+    }
+    Ok(())
+}
+
 fn main() -> Outcome<()> {
     let seeds = number("--seeds", 8.0)? as u64;
-    let sigmas = Sigmas { survey_m: number("--survey", 0.01)?, mark_px: number("--marks", 3.0)? };
+    let num_control = number("--control", 4.0)? as usize;
+    let (survey_m, mark_px) = (number("--survey", 0.01)?, number("--marks", 3.0)?);
+    let survey = Survey { num_control, survey_m, mark_px };
     let folder = argument("--write").map(PathBuf::from);
-    println!(
-        "| scene | lens of the model | brought to the points by | check points, cm | bound, cm | \
-         of true pixels, cm | bound, cm |\n|---|---|---|--:|--:|--:|--:|"
-    );
-    let mut found = Vec::new();
-    for scene in &SCENES {
-        let mut sums = [[[0.0; 4]; 3]; 2];
-        let mut names = [Named::default(); 3];
-        for seed in 1..=seeds {
-            let truth = scene.truth(seed)?;
-            let surveyed = surveyed_points(&truth, NUM_CONTROL + NUM_CHECK, MIN_MARKS);
-            let points = sigmas.measured(&surveyed, seed);
-            let true_pixels = exact(&surveyed);
-            let of_lens = of_images(&truth, 0.0)?;
-            let mut bounds = [[0.0; 2]; 3];
-            for (bounds, method) in bounds.iter_mut().zip(Method::ALL) {
-                for (bound, has_check_marks) in bounds.iter_mut().zip([true, false]) {
-                    *bound = bound_m2(&of_lens, &points, method.refine(), has_check_marks)?;
-                }
-            }
-            for (bend, radial) in [0.0, RADIAL].into_iter().enumerate() {
-                let model = of_images(&truth, radial)?;
-                for (k, method) in Method::ALL.into_iter().enumerate() {
-                    let (placed, errors) = method.run(&model, &points)?;
-                    let sums = &mut sums[bend][k];
-                    sums[0] += mean_square(&errors[NUM_CONTROL..]);
-                    sums[2] += mean_square(&point_errors(&placed, &true_pixels));
-                    sums[1] += bounds[k][0];
-                    sums[3] += bounds[k][1];
-                    if let (1, 1, Method::Lens, Some(folder)) = (seed, bend, method, &folder) {
-                        let folder = folder.join(scene.name.split(' ').next().unwrap_or("scene"));
-                        write(&folder, "before", &model)?;
-                        write(&folder, "after", &placed)?;
-                        write_points(&folder, &model, &points)?;
-                    }
-                }
-                if bend == 1 {
-                    for (sum, one) in names.iter_mut().zip(named(&surveyed, &model, sigmas, seed)?)
-                    {
-                        sum.right += one.right;
-                        sum.found += one.found;
-                        sum.others += one.others;
-                    }
-                }
-            }
+    let only = argument("--only");
+    if only.as_deref() != Some("wrong") {
+        println!(
+            "| scene | lens of the model | brought to the points by | check points, cm | bound, cm \
+             | of true pixels, cm | bound, cm |\n|---|---|---|--:|--:|--:|--:|"
+        );
+        for scene in &SCENES {
+            print_errors(scene, survey, seeds, folder.as_deref())?;
         }
-        for (lens, sums) in ["right", "off"].iter().zip(&sums) {
-            for (method, sums) in Method::ALL.iter().zip(sums) {
-                let cells = sums.map(|sum| format!("{:.2}", 100.0 * (sum / seeds as f64).sqrt()));
-                println!("| {} | {lens} | {} | {} |", scene.name, method.name(), cells.join(" | "));
-            }
-        }
-        found.push((scene.name, names));
     }
-    println!("\n| scene | wrong | named | right ones named |\n|---|---|--:|--:|");
-    for (name, names) in found {
-        for (what, Named { right, found, others }) in
-            ["nothing", "a point", "a mark"].iter().zip(names)
-        {
-            let of = if *what == "nothing" { 0 } else { seeds };
-            println!("| {name} | {what} | {found} of {of} | {others} of {right} |");
+    if only.as_deref() != Some("errors") {
+        println!(
+            "\n| scene | control points | wrong | named | one of several | right ones named | left \
+             out for it | detected from, m | attributed from, m |\n\
+             |---|--:|---|--:|--:|--:|--:|--:|--:|"
+        );
+        for scene in &SCENES {
+            print_wrong(scene, survey, seeds)?;
         }
     }
     Ok(())

@@ -139,16 +139,23 @@ impl ControlPoints {
         model: &Reconstruction,
         errors: &[PointError],
     ) -> Vec<ControlPointReport> {
+        let sizes = |sizes_m: Option<Vector3<f64>>| -> [Option<f64>; 3] {
+            let sizes_m = sizes_m.unwrap_or(Vector3::repeat(f64::INFINITY));
+            <[f64; 3]>::from(sizes_m).map(|size_m| Some(size_m).filter(|size_m| size_m.is_finite()))
+        };
         let report = |(point, error): (&ControlPoint, &PointError)| ControlPointReport {
             name: point.name.clone(),
             is_check: point.is_check,
             is_wrong: error.is_wrong,
+            alternatives: error.alternatives.iter().map(|&k| self.points[k].name.clone()).collect(),
             marks: error.num_marks,
             inlier_marks: error.error_m.map_or(0, |_| error.num_marks - error.wrong_marks.len()),
             wrong_marks: error.wrong_marks.iter().map(|id| model.image(*id).name.clone()).collect(),
             rms_px: error.rms_px,
             error_m: error.error_m.map(Into::into),
             sigmas_m: error.error_m.map(|_| error.sigmas_m.into()),
+            detectable_m: sizes(error.detectable_m),
+            separable_m: sizes(error.separable_m),
         };
         self.points.iter().zip(errors).map(report).collect()
     }
@@ -384,11 +391,19 @@ fn sentences(model: &str, report: &ControlReport) -> Vec<String> {
         let (count, errors) = (check.points, errors_in_words(check));
         sentences.push(format!("{count} check points of {model}: errors {errors}"));
     }
+    sentences.extend(detectable_in_words(report));
     for point in &report.points {
         let name = &point.name;
         if let (true, Some([x, y, z])) = (point.is_wrong, point.error_m) {
             sentences.push(format!(
                 "the control point {name} is wrong by {x:.2} {y:.2} {z:.2} m, and is not used"
+            ));
+        }
+        if !point.alternatives.is_empty() {
+            sentences.push(format!(
+                "one of the control points {name}, {} is wrong, and the measurements do not tell \
+                 which: {name}, without which the errors are smallest, is not used",
+                point.alternatives.join(", ")
             ));
         }
         if !point.wrong_marks.is_empty() {
@@ -397,6 +412,27 @@ fn sentences(model: &str, report: &ControlReport) -> Vec<String> {
         }
     }
     sentences
+}
+
+/// Which errors of control points go unnoticed; `None` where none is tested.
+fn detectable_in_words(report: &ControlReport) -> Option<String> {
+    let control = || report.points.iter().filter(|point| !point.is_check);
+    let is_tested = |point: &ControlPointReport| point.detectable_m.iter().any(Option::is_some);
+    control().any(is_tested).then_some(())?;
+    let largest = |sizes_m: &dyn Fn(&ControlPointReport) -> [Option<f64>; 3]| {
+        let sizes = control().flat_map(sizes_m).map(|size_m| size_m.unwrap_or(f64::INFINITY));
+        let largest_m = sizes.fold(0.0, f64::max);
+        match largest_m.is_finite() {
+            true => format!("{largest_m:.2} m"),
+            false => "any size".to_owned(),
+        }
+    };
+    Some(format!(
+        "errors of up to {} in a coordinate of one control point may go unnoticed, and of up to {} \
+         may be those of another one (one case in five)",
+        largest(&|point| point.detectable_m),
+        largest(&|point| point.separable_m)
+    ))
 }
 
 fn errors_in_words(statistics: &PointStatistics) -> String {

@@ -10,8 +10,12 @@ pub struct ControlPointReport {
     pub name: String,
     /// Whether it only tells of errors.
     pub is_check: bool,
-    /// Whether the others contradict it, so that it was not used.
+    /// Whether the others contradict it and no other point explains that; it was not used.
     pub is_wrong: bool,
+    /// If the others contradict it and it was not used, the names of the points one of which may be
+    /// wrong in its place.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub alternatives: Vec<String>,
     /// Number of marks in images with a pose.
     pub marks: usize,
     /// Number of those that agree on one point.
@@ -28,6 +32,24 @@ pub struct ControlPointReport {
     /// Standard deviations of the error along the axes, by those of marks and coordinates, without
     /// errors of the model; `None` without an error.
     pub sigmas_m: Option<[f64; 3]>,
+    /// Sizes of errors of the measured coordinates along the axes that are detected in 80 % of
+    /// cases, in metres; `None` where nothing tests a coordinate.
+    #[serde(default, skip_serializing_if = "is_untested")]
+    pub detectable_m: [Option<f64>; 3],
+    /// As `detectable_m`, of errors that no other point explains, so that the point is named.
+    #[serde(default, skip_serializing_if = "is_untested")]
+    pub separable_m: [Option<f64>; 3],
+}
+
+impl ControlPointReport {
+    /// Whether it is a control point that did not take part.
+    pub fn is_left_out(&self) -> bool {
+        self.is_wrong || !self.alternatives.is_empty()
+    }
+}
+
+fn is_untested(sizes: &[Option<f64>; 3]) -> bool {
+    sizes.iter().all(Option::is_none)
 }
 
 /// Errors of the points of one kind.
@@ -41,11 +63,11 @@ pub struct PointStatistics {
 }
 
 impl PointStatistics {
-    /// Of the control points that are not wrong, or of the check points; `None` without any that
-    /// the marks determine.
+    /// Of the control points that took part, or of the check points; `None` without any that the
+    /// marks determine.
     pub fn of(points: &[ControlPointReport], is_check: bool) -> Option<Self> {
         let is_of_kind =
-            |point: &&ControlPointReport| point.is_check == is_check && !point.is_wrong;
+            |point: &&ControlPointReport| point.is_check == is_check && !point.is_left_out();
         let errors: Vec<[f64; 3]> =
             points.iter().filter(is_of_kind).filter_map(|point| point.error_m).collect();
         let count = errors.len();

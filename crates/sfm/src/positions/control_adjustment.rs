@@ -6,18 +6,16 @@
 //!    of the residuals, so that all points straighten a bent model, and shrinks by four from one
 //!    adjustment to the next, so that wrong points lose their pull (graduated non-convexity, Blake
 //!    and Zisserman 1987).
-//! 3. *Least squares.* The points that fit take part with the squared loss. A point is taken in if
-//!    the adjusted model predicts it, and left out if it contradicts the others: the largest
-//!    residual of coordinates, in the metric of its covariance Σ − C, is beyond the 99.9 % quantile
-//!    of χ² (data snooping, Baarda 1968), and beyond that for the residuals of the others without
-//!    it. Σ is the covariance of the survey, and C that of the adjusted point.
+//! 3. *Least squares.* The points that fit take part with the squared loss. Those that the adjusted
+//!    model predicts are taken in, and those that contradict the others are left out
+//!    ([`Redundancy`]), until that changes nothing.
 
 use std::ops::ControlFlow;
 
 use tiepoint_adjust::{AdjustOptions, Error, Scope, Term, adjust, build_problem};
-use tiepoint_ba::{AnyKey, IterationRecord, Summary};
+use tiepoint_ba::{AnyKey, IterationRecord, Key, Summary};
 use tiepoint_geometry::Sim3;
-use tiepoint_geometry::nalgebra::{Matrix3, Vector3};
+use tiepoint_geometry::nalgebra::{DMatrix, Matrix3, Vector3};
 use tiepoint_geometry::numeric::median;
 use tiepoint_scene::Reconstruction;
 
@@ -26,8 +24,9 @@ use super::control_points::{
     ControlMisfit, Found, MAX_SD, MIN_POINTS, MarkedPoint, PointError, errors, places, sigmas,
 };
 use super::control_term::{ControlLandmark, ControlTerm};
+use super::redundancy::Redundancy;
 use crate::terms::with_terms;
-use crate::tracks::without_points_at_infinity;
+use crate::tracks::{filter_images, without_points_at_infinity};
 
 /// Samples of three points for the start. With half of all points wrong, all of 100 contain a wrong
 /// one with a probability of 0.875¹⁰⁰ = 2e-6.
@@ -45,9 +44,12 @@ const SHRINKAGE: f64 = 4.0;
 /// Norm of a point's residual, in standard deviations, that one right point in a thousand exceeds:
 /// the root of the 99.9 % quantile of χ² with three degrees of freedom.
 const MAX_RIGHT: f64 = 4.03;
-/// Least share of an error of a coordinate that its residual shows. Below it, errors of 30
-/// deviations are below one deviation of the residual: nothing tests them.
-const MIN_REDUNDANCY: f64 = 1e-3;
+/// Fewest points that determine the pose of an image. One that they do not determine would leave
+/// the whole information matrix singular.
+const MIN_IMAGE_POINTS: usize = 3;
+/// Adjustments without robust loss: where it is not settled after these which points contradict the
+/// others, two explanations are alike, and the last one is taken.
+const MAX_ROUNDS: usize = 5;
 
 /// A model that was adjusted with control points.
 #[derive(Clone, Debug)]
@@ -147,60 +149,43 @@ pub fn adjust_to_points(
 ) -> Result<ControlAdjustment, Error> {
     let mut run = Run { points, options, terms, watch };
     run.robustly(model)?;
-    let found = places(model, points);
-    let mut used = run.fitting(&found);
-    let mut fit = run.with(model, &used)?;
-    let residuals = run.residuals(model, &fit.landmarks, &used);
-    let is_predicted = |k: &usize| residuals[*k].is_some_and(|it| it.squared <= MAX_RIGHT.powi(2));
-    let missing: Vec<usize> =
-        run.control().filter(|k| !used.contains(k)).filter(is_predicted).collect();
-    if !missing.is_empty() {
-        used.extend(missing);
-        used.sort_unstable();
-        fit = run.with(model, &used)?;
-    }
-    while used.len() > MIN_POINTS {
-        let residuals = run.residuals(model, &fit.landmarks, &used);
-        let of_used = used.iter().filter_map(|k| Some((*k, residuals[*k]?.squared)));
-        let Some((worst, squared)) = of_used.max_by(|a, b| a.1.total_cmp(&b.1)) else { break };
-        if squared <= MAX_RIGHT.powi(2) {
-            break;
+    let mut used = run.fitting(&places(model, points));
+    let mut round = 1;
+    let (fit, verdicts) = loop {
+        let fit = run.with(model, &used)?;
+        let Some((tested, redundancy)) = run.redundancy(model, &fit.landmarks, &used) else {
+            break (fit, None);
+        };
+        let left_out: Vec<usize> =
+            (0..tested.len()).filter(|k| !used.contains(&tested[*k])).collect();
+        let next = redundancy.left_out(&left_out, MIN_POINTS);
+        if next == left_out || round == MAX_ROUNDS {
+            break (fit, Some((tested, redundancy.verdicts(&left_out))));
         }
-        let others: Vec<usize> = used.iter().copied().filter(|k| *k != worst).collect();
-        let mut without = model.clone();
-        let fit_without = run.with(&mut without, &others)?;
-        let residuals = run.residuals(&without, &fit_without.landmarks, &others);
-        if squared <= MAX_RIGHT.powi(2) * variance_factor(&residuals, &others).max(1.0) {
-            break;
-        }
-        (*model, fit, used) = (without, fit_without, others);
-    }
+        used = (0..tested.len()).filter(|k| !next.contains(k)).map(|k| tested[k]).collect();
+        round += 1;
+    };
     let found = places(model, points);
-    let is_used = |k: usize| used.contains(&k);
-    let points = errors(model, points, &found, &Sim3::identity(), &is_used);
-    Ok(ControlAdjustment { summary: fit.summary, points })
+    let mut errors = errors(model, points, &found, &Sim3::identity(), &|k| used.contains(&k));
+    if let Some((tested, verdicts)) = verdicts {
+        for (&point, verdict) in tested.iter().zip(verdicts) {
+            errors[point].set_verdict(verdict, &tested);
+        }
+    } else {
+        // Nothing tells the points that do not fit from the others.
+        let all: Vec<usize> = run.control().filter(|k| found[*k].is_some()).collect();
+        for (k, error) in errors.iter_mut().enumerate().filter(|(_, error)| error.is_wrong) {
+            error.is_wrong = false;
+            error.alternatives = all.iter().copied().filter(|other| *other != k).collect();
+        }
+    }
+    Ok(ControlAdjustment { summary: fit.summary, points: errors })
 }
 
 /// An adjustment, and the points after it.
 struct Fit {
     summary: Summary,
     landmarks: Vec<ControlLandmark>,
-}
-
-/// The residual of the coordinates of a point, in the metric of its covariance.
-#[derive(Clone, Copy)]
-struct Residual {
-    squared: f64,
-    /// Number of directions that the images and the other points test.
-    num_tested: usize,
-}
-
-/// Mean square of the residuals of some points for each of their tested directions.
-fn variance_factor(residuals: &[Option<Residual>], points: &[usize]) -> f64 {
-    let of_points = || points.iter().filter_map(|k| residuals[*k]);
-    let squares: f64 = of_points().map(|it| it.squared).sum();
-    let tested: usize = of_points().map(|it| it.num_tested).sum();
-    squares / tested.max(1) as f64
 }
 
 struct Run<'a, 'b> {
@@ -305,14 +290,14 @@ impl Run<'_, '_> {
         found.iter().enumerate().map(of_point).collect()
     }
 
-    /// The residuals of the coordinates of all points that the marks determine. Of those that are
-    /// not used, they are those of a prediction.
-    fn residuals(
+    /// What the residuals of the control points tell that the marks determine, and these points.
+    /// `None` where the model does not determine its covariance.
+    fn redundancy(
         &mut self,
         model: &Reconstruction,
         adjusted: &[ControlLandmark],
         used: &[usize],
-    ) -> Vec<Option<Residual>> {
+    ) -> Option<(Vec<usize>, Redundancy)> {
         let found = places(model, self.points);
         let mut landmarks = self.landmarks(&found, used);
         for (k, landmark) in landmarks.iter_mut().enumerate() {
@@ -325,44 +310,25 @@ impl Run<'_, '_> {
             }
         }
         let mut term = ControlTerm::new(landmarks, None);
-        let near = without_points_at_infinity(model);
-        let none = vec![None; self.points.len()];
-        let built = {
+        let mut near = without_points_at_infinity(model);
+        filter_images(&mut near, MIN_IMAGE_POINTS, &|_| false);
+        let variables = {
             let terms = &mut with_terms(&mut term, self.terms);
-            build_problem(&near, &Scope::Global, self.options, terms)
+            build_problem(&near, &Scope::Global, self.options, terms).ok()?
         };
-        // A model that does not determine them tests none.
-        let Ok(variables) = built else { return none };
-        let keys: Vec<AnyKey> = term.keys.iter().flatten().map(|key| (*key).into()).collect();
-        let Ok(covariance) = variables.problem().covariance(&keys) else { return none };
-        let noise = self.options.noise;
-        let of_point = |(k, key): (usize, &Option<_>)| {
-            let covariance = covariance.of((*key)?)? * noise.powi(2);
-            let covariance = Matrix3::from_fn(|row, column| covariance[(row, column)]);
-            let point = &self.points[k];
-            let error = term.landmarks[k].xyz - point.xyz;
-            Some(residual(&error, &point.sigmas_m, &covariance, used.contains(&k)))
+        let with_key = |(k, key): (usize, &Option<Key<Vector3<f64>>>)| {
+            let key: AnyKey = (*key)?.into();
+            Some((k, key))
         };
-        term.keys.iter().enumerate().map(of_point).collect()
+        let (tested, keys): (Vec<usize>, Vec<AnyKey>) =
+            term.keys.iter().enumerate().filter_map(with_key).unzip();
+        let covariance = variables.problem().covariance(&keys).ok()?;
+        let covariance: DMatrix<f64> = covariance.matrix() * self.options.noise.powi(2);
+        let points = self.points;
+        let errors = tested.iter().map(|&k| term.landmarks[k].xyz - points[k].xyz);
+        let errors: Vec<Vector3<f64>> = errors.collect();
+        let sigmas: Vec<Vector3<f64>> = tested.iter().map(|&k| points[k].sigmas_m).collect();
+        let is_used: Vec<bool> = tested.iter().map(|k| used.contains(k)).collect();
+        Some((tested, Redundancy::new(&errors, &sigmas, &covariance, &is_used)))
     }
-}
-
-/// The residual of coordinates with these standard deviations, and an adjusted place with this
-/// covariance; `is_used` tells whether the coordinates took part.
-fn residual(
-    error: &Vector3<f64>,
-    sigmas: &Vector3<f64>,
-    covariance: &Matrix3<f64>,
-    is_used: bool,
-) -> Residual {
-    // In deviations of the coordinates: 1 − C of a residual, and 1 + C of a prediction.
-    let whitened = Matrix3::from_diagonal(&sigmas.map(f64::recip));
-    let of_place = whitened * covariance * whitened;
-    let sign = if is_used { -1.0 } else { 1.0 };
-    let eigen = (Matrix3::identity() + sign * of_place).symmetric_eigen();
-    let along = eigen.eigenvectors.tr_mul(&(whitened * error));
-    let is_tested = |k: &usize| eigen.eigenvalues[*k] > MIN_REDUNDANCY;
-    let tested: Vec<usize> = (0..3).filter(is_tested).collect();
-    let squared = tested.iter().map(|&k| along[k].powi(2) / eigen.eigenvalues[k]).sum();
-    Residual { squared, num_tested: tested.len() }
 }

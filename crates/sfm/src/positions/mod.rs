@@ -13,6 +13,7 @@ mod control_points;
 mod control_term;
 mod evidence;
 mod measured;
+mod redundancy;
 mod term;
 mod track;
 

@@ -1,4 +1,5 @@
 //! What is known beside the photos.
 
+mod control_points;
 mod positions;
 mod rig_calibration;
