@@ -18,8 +18,9 @@ use super::spectral;
 /// Random starts. Local optima of two houses are right in some parts each; with half as many the
 /// best division of each of the sets in docs/benchmarks/photos.md is found as well.
 const STARTS: u64 = 16;
-/// Results that are combined: their images fall into at most 2^RESULTS sets.
-const RESULTS: usize = 3;
+/// Results that are combined, and the sets of their images that are moved, the largest ones.
+const RESULTS: usize = 4;
+const MAX_SETS: usize = 10;
 const MAX_COMBINATIONS: usize = 10;
 /// Key of the random streams.
 const STREAM: u64 = 0x6475_7062;
@@ -71,7 +72,9 @@ fn combined(points: &Points, results: &[(f64, Vec<bool>)]) -> (f64, Vec<bool>) {
         sets.entry(labels).or_default().push(image);
     }
     // The set of the first image, which is in the first group of all, stays.
-    let sets: Vec<Vec<usize>> = sets.into_values().filter(|set| !set.contains(&0)).collect();
+    let mut sets: Vec<Vec<usize>> = sets.into_values().filter(|set| !set.contains(&0)).collect();
+    sets.sort_by_key(|set| std::cmp::Reverse(set.len()));
+    sets.truncate(MAX_SETS);
     let combination = |moved: usize| {
         let mut sides = best[0].1.clone();
         for (_, set) in sets.iter().enumerate().filter(|(k, _)| moved >> k & 1 == 1) {
