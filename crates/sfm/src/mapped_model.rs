@@ -41,3 +41,16 @@ pub struct MappedModel {
     /// Stages that failed. The model is as it would be without them.
     pub failures: Vec<Failure>,
 }
+
+impl MappedModel {
+    /// Whether the places of two models look alike, and are known as two: most images of one are in
+    /// [`MappedModel::other_place`] of the other one.
+    pub fn is_other_place_than(&self, other: &Self) -> bool {
+        let has = |of: &Self, model: &Self| {
+            let images = || model.reconstruction.registered();
+            let num_others = images().filter(|(id, ..)| of.other_place.contains(id)).count();
+            2 * num_others > images().count()
+        };
+        has(self, other) || has(other, self)
+    }
+}

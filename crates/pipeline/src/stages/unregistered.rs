@@ -28,10 +28,12 @@ pub(crate) fn unregistered_images(
 }
 
 /// For each model but the first the pair that comes closest to connecting it with a larger one.
+/// Matches between two places that look alike connect nothing.
 pub(crate) fn gaps(graph: &CorrespondenceGraph, models: &[MappedModel]) -> Vec<ModelGap> {
-    let gap = |(index, model): (usize, &MappedModel)| {
-        let model = &model.reconstruction;
+    let gap = |(index, mapped): (usize, &MappedModel)| {
+        let model = &mapped.reconstruction;
         let larger = models[..index].iter().enumerate();
+        let larger = larger.filter(|(_, larger)| !larger.is_other_place_than(mapped));
         let found = larger.rev().filter_map(|(other, larger)| {
             let pair = diagnostics::nearest_pair(graph, &larger.reconstruction, model)?;
             Some((other, pair))

@@ -201,10 +201,12 @@ impl<'a> Growth<'a> {
     /// model held two places as one.
     fn leave_other_place(&mut self, watch: &mut Watch) -> Result<bool, Error> {
         let Input { scene, graph, options, .. } = self.refiner.input;
+        if !self.may_lose_images() || self.refiner.existing.is_some() {
+            return Ok(false);
+        }
         // Cameras with known times have continuity, which is better evidence.
-        let is_of_photos =
-            images_of_cameras(scene).values().all(|images| images_in_time(scene, images).is_none());
-        if !self.may_lose_images() || self.refiner.existing.is_some() || !is_of_photos {
+        let is_timed = |images: &Vec<ImageId>| images_in_time(scene, images).is_some();
+        if images_of_cameras(scene).values().any(is_timed) {
             return Ok(false);
         }
         let Solution { model, other_place, .. } = &mut self.refiner.solution;

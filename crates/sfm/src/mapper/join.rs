@@ -59,7 +59,7 @@ pub(super) fn join_models(
             Some(smaller) => Some((smaller, input.scene.clone())),
             None => (larger + 1..models.len()).find_map(|smaller| {
                 let [one, other] = [larger, smaller].map(|k| &models[k]);
-                if are_two_places(one, other) {
+                if one.is_other_place_than(other) {
                     return None;
                 }
                 Some((smaller, joined(input, &one.reconstruction, &other.reconstruction)?))
@@ -101,15 +101,6 @@ pub(super) fn sort_by_size(models: &mut [MappedModel]) {
         let model = &model.reconstruction;
         std::cmp::Reverse((model.num_registered(), model.num_tracks()))
     });
-}
-
-/// Whether most images of one model are of a place that looks like that of the other one.
-fn are_two_places(one: &MappedModel, other: &MappedModel) -> bool {
-    let is_other_place = |of: &MappedModel, model: &MappedModel| {
-        let images = registered(&model.reconstruction);
-        2 * images.intersection(&of.other_place).count() > images.len()
-    };
-    is_other_place(one, other) || is_other_place(other, one)
 }
 
 pub(super) fn registered(model: &Reconstruction) -> BTreeSet<ImageId> {

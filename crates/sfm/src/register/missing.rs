@@ -14,16 +14,16 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use rayon::prelude::*;
 use tiepoint_geometry::Rigid3;
-use tiepoint_geometry::nalgebra::{Vector2, Vector3};
+use tiepoint_geometry::nalgebra::Vector3;
 use tiepoint_scene::{CorrespondenceGraph, ImageId, Observation, Reconstruction, Track};
 
 use super::recall::{MAX_DISTANCE_RATIO, visible_to_neighbours};
 use super::significance::{are_too_few, ln_binomial_false_alarms};
+use super::square_cells::square_cell;
 
-/// Cells along the larger side of an image. These three and the third quartile below were chosen on
-/// the rendered table and facade of docs/benchmarks/photos.md, without half and double.
-const CELLS: f64 = 10.0;
-/// Points of a cell that tells something, and cells of such an image.
+/// Points of a cell that tells something, and cells of such an image. These two and the third
+/// quartile below were chosen on the rendered table and facade of docs/benchmarks/photos.md,
+/// without half and double.
 const MIN_POINTS: usize = 3;
 const MIN_CELLS: usize = 5;
 /// Share of empty cells of a right image at least: three points, each missed with 0.4, as usual
@@ -79,22 +79,21 @@ fn cells(
     cam_from_world: &Rigid3,
 ) -> Cells {
     let camera = model.camera_of(image);
-    let side_px = f64::from(camera.width.max(camera.height)) / CELLS;
-    let cell_of = |pixel: &Vector2<f64>| ((pixel.x / side_px) as i64, (pixel.y / side_px) as i64);
     let mut points: BTreeMap<(i64, i64), (usize, usize)> = BTreeMap::new();
     for point in visible_to_neighbours(graph, model, image) {
         let Some(track) = model.track(point) else { continue };
         let pixel = camera.intrinsics.project(&(*cam_from_world * track.xyz));
         let Some(pixel) = pixel.filter(|pixel| camera.contains(pixel)) else { continue };
         if is_seen_from_both_sides(model, track, image, cam_from_world) {
-            let (num, found) = points.entry(cell_of(&pixel)).or_insert((0, 0));
+            let (num, found) = points.entry(square_cell(camera, &pixel)).or_insert((0, 0));
             *num += 1;
             *found += usize::from(track.observations.iter().any(|o| o.image == image));
         }
     }
     // Nothing can be found behind a mask, or where all is blurred.
     let keypoints = model.image(image).keypoints.iter();
-    let occupied: BTreeSet<(i64, i64)> = keypoints.map(|it| cell_of(&it.pixel)).collect();
+    let occupied: BTreeSet<(i64, i64)> =
+        keypoints.map(|it| square_cell(camera, &it.pixel)).collect();
     let informative =
         points.iter().filter(|(cell, (num, _))| *num >= MIN_POINTS && occupied.contains(cell));
     informative.fold(Cells::default(), |sum, (_, (_, found))| Cells {
@@ -138,6 +137,7 @@ fn is_seen_from_both_sides(
 
 #[cfg(test)]
 mod tests {
+    use tiepoint_geometry::nalgebra::Vector2;
     use tiepoint_geometry::{CameraModelKind, Intrinsics, Rng};
     use tiepoint_scene::{Camera, Image, ImagePair, Keypoint, Match, TwoView, TwoViewKind};
 

@@ -10,6 +10,7 @@ mod next_image;
 mod options;
 mod recall;
 mod significance;
+mod square_cells;
 mod visibility;
 
 pub(crate) use absolute_pose::candidates;

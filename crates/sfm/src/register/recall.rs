@@ -3,6 +3,7 @@
 use std::collections::BTreeSet;
 
 use tiepoint_geometry::Rigid3;
+use tiepoint_geometry::nalgebra::Vector3;
 use tiepoint_scene::{CorrespondenceGraph, ImageId, Observation, PointId, Reconstruction};
 
 use super::options::RegisterOptions;
@@ -79,12 +80,22 @@ fn is_expected(
         let pose = model.image(observation.image).cam_from_world();
         pose.filter(|_| observation.image != image).is_some_and(|pose| {
             let other_ray = track.xyz - pose.origin_in_a();
-            let ratio = ray.norm() / other_ray.norm();
-            ray.angle(&other_ray) < MAX_VIEW_ANGLE_RAD
-                && ratio.max(1.0 / ratio) < MAX_DISTANCE_RATIO
+            are_similar_views(&ray, &other_ray, MAX_VIEW_ANGLE_RAD, MAX_DISTANCE_RATIO)
         })
     };
     is_inside && track.observations.iter().any(is_similar_view)
+}
+
+/// Whether two images look at a point from similar directions and distances; the rays are from
+/// their centres to the point.
+pub(super) fn are_similar_views(
+    ray: &Vector3<f64>,
+    other: &Vector3<f64>,
+    max_angle_rad: f64,
+    max_distance_ratio: f64,
+) -> bool {
+    let ratio = ray.norm() / other.norm();
+    ray.angle(other) < max_angle_rad && ratio.max(1.0 / ratio) < max_distance_ratio
 }
 
 /// The points that the neighbours of an image in the graph observe, in order of their ids.

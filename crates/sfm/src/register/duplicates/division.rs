@@ -16,12 +16,14 @@ use super::expected::{Expectations, Expected};
 /// with the poses. Of pairs of photos of two identical houses, on twins-apart, seed 11
 /// (docs/benchmarks/photos.md).
 const FOUND_ELSEWHERE: f64 = 0.12;
-/// Passes over all images until none changes its group, and rounds until the weights stay: usually
-/// about ten and four.
+/// Passes over all images until none changes its group, and rounds until the weights stay. They
+/// bound the time; not varied.
 const MAX_PASSES: usize = 60;
 const MAX_ROUNDS: usize = 8;
 /// Weight of a point that no image of the other group is expected to observe.
 const UNKNOWN_WEIGHT: f64 = 0.5;
+/// Smallest gain of a change, which rounding does not reach.
+const MIN_GAIN: f64 = 1e-6;
 
 /// What is known of the points for divisions.
 pub(super) struct Points<'a> {
@@ -166,9 +168,6 @@ impl<'a> Points<'a> {
         weighted.map(|(weight, counts)| weight * self.evidence(&counts)).sum()
     }
 }
-
-/// Smallest gain of a change, which rounding does not reach.
-const MIN_GAIN: f64 = 1e-6;
 
 impl Counts {
     fn of(&mut self, observes: bool) -> &mut [u32; 2] {

@@ -15,15 +15,15 @@ const BETWEEN: f64 = 0.5;
 /// 5 ln 2 against one place, and the choice of a group for each image ln 2: were the cells
 /// independent, a fifth would do. Several images miss the same for one reason. Two houses have 0.67
 /// to 2.0, one place has up to 0.63 (of a table, which has not enough of the other two). With half
-/// the same sets stay whole; with double also the houses with photos between them.
+/// the same sets stay whole; with double also three of five sets of houses with photos between.
 const MIN_EMPTY_PER_IMAGE: f64 = 0.5;
 /// And they have this many times as many empty cells as cells between: two houses 1.8 to 20, one
-/// place at most 1.0. The numbers are those of seeds 2, 3, 11 and 12 of the collections in
-/// docs/benchmarks/photos.md.
+/// place at most 1.0. The numbers are those of seeds 1 to 3, 11 and 12 of the collections in
+/// docs/benchmarks/photos.md, which chose these three constants.
 const MIN_EMPTY_PER_BETWEEN: f64 = 1.4;
 /// And where they look alike, they find the points of the other one at least this many times as
-/// often as their own: 0.96 to 1.05 with two houses, 0.4 to 0.8 with photos of one place that
-/// differ.
+/// often as their own: 0.98 to 1.23 times with two houses, 0.40 to 0.84 times with photos of one
+/// place that differ.
 const MIN_RATE: f64 = 0.9;
 
 /// Counts of a division.

@@ -9,18 +9,17 @@ use std::ops::Range;
 use rayon::prelude::*;
 use tiepoint_scene::{CorrespondenceGraph, ImageId, PointId, Reconstruction};
 
-use crate::register::recall::visible_to_neighbours;
+use crate::register::recall::{are_similar_views, visible_to_neighbours};
+use crate::register::square_cells::square_cell;
 
-/// Largest angle between two views of a point, and largest ratio of their distances: three quarters
-/// of the angle and distance at which [`super::super::recall`] expects a point to be found, so that
-/// what hides a point from one view hides it from the other. Chosen on twins-apart, seed 11
+/// Largest angle between two views of a point (7°), and largest ratio of their distances: less than
+/// those at which [`crate::register::recall`] expects a point to be found, so that more of what
+/// hides a point from one view hides it from the other. Chosen on twins-apart, seed 11
 /// (docs/benchmarks/photos.md), without half and double.
-const MAX_ANGLE_COS: f64 = 0.992_55;
+const MAX_ANGLE_RAD: f64 = 0.122_15;
 const MAX_DISTANCE_RATIO: f64 = 1.2;
-/// Cells along the larger side of an image.
-const CELLS: f64 = 10.0;
 /// A point is hidden if the points that the image observes in its cell are nearer than this share
-/// of its depth in the median.
+/// of its depth in the median. Not varied.
 const HIDDEN_DEPTH: f64 = 0.9;
 /// Images that are remembered for an expectation, evenly among all that observe the point from
 /// there.
@@ -101,12 +100,10 @@ fn expected_of(
 ) -> Vec<Found> {
     let (camera, observed) = (model.camera_of(image), model.image(image));
     let Some(pose) = observed.cam_from_world() else { return Vec::new() };
-    let side_px = f64::from(camera.width.max(camera.height)) / CELLS;
     // By cell, the depths of the points that the image observes; empty if it has other keypoints.
     let mut depths: BTreeMap<(i64, i64), Vec<f64>> = BTreeMap::new();
     for (keypoint, point) in observed.keypoints.iter().zip(observed.points()) {
-        let cell = ((keypoint.pixel.x / side_px) as i64, (keypoint.pixel.y / side_px) as i64);
-        let depths = depths.entry(cell).or_default();
+        let depths = depths.entry(square_cell(camera, &keypoint.pixel)).or_default();
         depths.extend(point.and_then(|it| model.track(it)).map(|it| (*pose * it.xyz).z));
     }
     depths.values_mut().for_each(|depths| depths.sort_by(f64::total_cmp));
@@ -116,7 +113,7 @@ fn expected_of(
         let seen = *pose * track.xyz;
         let pixel = camera.intrinsics.project(&seen).filter(|pixel| camera.contains(pixel));
         let Some(pixel) = pixel else { continue };
-        let cell = ((pixel.x / side_px) as i64, (pixel.y / side_px) as i64);
+        let cell = square_cell(camera, &pixel);
         let Some(depths) = depths.get(&cell) else { continue };
         let is_hidden = |depth: &f64| *depth < HIDDEN_DEPTH * seen.z;
         if depths.get(depths.len() / 2).is_some_and(is_hidden) {
@@ -127,9 +124,7 @@ fn expected_of(
             let pose = model.image(*other).cam_from_world();
             pose.filter(|_| *other != image).is_some_and(|pose| {
                 let other_ray = track.xyz - pose.origin_in_a();
-                let ratio = ray.norm() / other_ray.norm();
-                let cos = ray.dot(&other_ray) / (ray.norm() * other_ray.norm());
-                cos > MAX_ANGLE_COS && ratio.max(1.0 / ratio) < MAX_DISTANCE_RATIO
+                are_similar_views(&ray, &other_ray, MAX_ANGLE_RAD, MAX_DISTANCE_RATIO)
             })
         };
         let observers = track.observations.iter().map(|it| it.image);

@@ -139,7 +139,6 @@ mod tests {
             (pair, TwoView { kind: TwoViewKind::Calibrated, matches, ..TwoView::default() })
         });
         let graph = CorrespondenceGraph::new(&[POINTS; IMAGES], pairs);
-
         let found = duplicate_place(&graph, &model, MIN_IMAGES, seed)?;
         Some(found.into_iter().map(|image| image.index()).collect())
     }
