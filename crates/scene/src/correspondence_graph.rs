@@ -86,6 +86,13 @@ impl CorrespondenceGraph {
         Self::new(&counts, self.pairs.clone().into_iter().chain(two_views))
     }
 
+    /// Returns the graph of those verified pairs that `is_kept` keeps.
+    pub fn filtered(&self, is_kept: impl Fn(&ImagePair) -> bool) -> Self {
+        let counts: Vec<usize> = self.images.iter().map(|image| image.offsets.len() - 1).collect();
+        let pairs = self.pairs.iter().filter(|(pair, _)| is_kept(pair));
+        Self::new(&counts, pairs.map(|(pair, two_view)| (*pair, two_view.clone())))
+    }
+
     /// Number of images of the graph.
     pub fn num_images(&self) -> usize {
         self.images.len()

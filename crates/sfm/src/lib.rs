@@ -24,7 +24,7 @@ pub mod two_view;
 
 pub use error::Error;
 pub use event::{Event, Failure, OptionalStage};
-pub use mapped_model::MappedModel;
+pub use mapped_model::{MappedModel, OtherPlace};
 pub use mapper::{CheckpointStore, ExistingPoses, Mapper};
 pub use options::{MapperOptions, RigMode};
 pub use tiepoint_adjust as adjust;

@@ -35,22 +35,43 @@ pub struct MappedModel {
     pub row_poses: BTreeMap<ImageId, RowPoses>,
     /// Number of image pairs reconnected by loop closure.
     pub num_loop_pairs: usize,
-    /// Images of a place that looks like the one of this model, and is another one: the mapper
-    /// had put both on one place. The model is not joined with a model of them.
-    pub other_place: BTreeSet<ImageId>,
+    /// Places that look like the one of this model.
+    pub other_places: Vec<OtherPlace>,
     /// Stages that failed. The model is as it would be without them.
     pub failures: Vec<Failure>,
 }
 
+/// A place that looks like the one of a model, and is another one: the mapper had put both on one
+/// place.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct OtherPlace {
+    /// Its images, which are not in the model.
+    pub images: BTreeSet<ImageId>,
+    /// Verified pairs between the images of the two places that contradicted the one place: they
+    /// match what is between the places. The model is joined with one of the other place by these
+    /// pairs alone.
+    pub connections: BTreeSet<ImagePair>,
+}
+
+impl OtherPlace {
+    /// Whether most of these images are of this place.
+    pub(crate) fn is_of(&self, images: &BTreeSet<ImageId>) -> bool {
+        2 * self.images.intersection(images).count() > images.len()
+    }
+}
+
 impl MappedModel {
+    /// The registered images.
+    pub(crate) fn images(&self) -> BTreeSet<ImageId> {
+        self.reconstruction.registered().map(|(id, ..)| id).collect()
+    }
+
     /// Whether the places of two models look alike, and are known as two: most images of one are in
-    /// [`MappedModel::other_place`] of the other one.
+    /// [`OtherPlace::images`] of the other one.
     pub fn is_other_place_than(&self, other: &Self) -> bool {
-        let has = |of: &Self, model: &Self| {
-            let images = || model.reconstruction.registered();
-            let num_others = images().filter(|(id, ..)| of.other_place.contains(id)).count();
-            2 * num_others > images().count()
+        let has = |of: &Self, images: BTreeSet<ImageId>| {
+            of.other_places.iter().any(|place| place.is_of(&images))
         };
-        has(self, other) || has(other, self)
+        has(self, other.images()) || has(other, self.images())
     }
 }

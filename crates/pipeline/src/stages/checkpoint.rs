@@ -11,7 +11,7 @@ use tiepoint_sfm::scene::{CorrespondenceGraph, Image, Keypoint, Match, Reconstru
 use tiepoint_store::{Error as StoreError, OutputFolder, disk};
 
 /// First bytes of the file.
-pub(crate) const MAGIC: &[u8] = b"tiepoint mapper state 2\n";
+pub(crate) const MAGIC: &[u8] = b"tiepoint mapper state 3\n";
 const HASH_BYTES: usize = 32;
 /// The time between two checkpoints is this multiple of what one takes, so that all of them take 2
 /// % of the run, and at least the minimum.

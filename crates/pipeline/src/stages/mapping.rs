@@ -633,7 +633,7 @@ impl<'a> MapRequest<'a> {
             ModelReport {
                 scale,
                 loop_pairs: model.num_loop_pairs,
-                other_place: names_of(&model.reconstruction, &model.other_place),
+                other_place: names_of(&model.reconstruction, &other_images(model)),
                 failed: model.failures.iter().map(|failure| describe(failure, is_known)).collect(),
                 rig: RigReport::new(mode, is_known && !has_failed, model, metres_per_unit),
                 positions,
@@ -972,6 +972,11 @@ fn stage_models(workspace: &Workspace, models: &[MappedModel]) -> Result<Vec<Str
     Ok(names)
 }
 
+/// The images of all places that look like the one of a model.
+fn other_images(model: &MappedModel) -> BTreeSet<ImageId> {
+    model.other_places.iter().flat_map(|place| place.images.iter().copied()).collect()
+}
+
 #[cfg(test)]
 mod tests {
     use sfm::adjust::Error::NothingToAdjust;
@@ -1031,7 +1036,7 @@ mod tests {
             shutters: Vec::new(),
             row_poses: BTreeMap::new(),
             num_loop_pairs: 0,
-            other_place: BTreeSet::new(),
+            other_places: Vec::new(),
             failures: Vec::new(),
         }
     }

@@ -148,7 +148,7 @@ pub(crate) fn scale_extrinsics(camera: &mut CalibratedCamera, factor: f64, has_g
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::collections::{BTreeMap, BTreeSet};
+    use std::collections::BTreeMap;
     use tiepoint_sfm::geometry::{CameraModelKind, Intrinsics, Rigid3};
     use tiepoint_sfm::rig::RelativePoseStatistics;
     use tiepoint_sfm::rigs::{CalibratedRig, RigConstraint};
@@ -231,7 +231,7 @@ mod tests {
             shutters: Vec::new(),
             row_poses: BTreeMap::new(),
             num_loop_pairs: 0,
-            other_place: BTreeSet::new(),
+            other_places: Vec::new(),
             failures: Vec::new(),
         }];
         let report = scale_to_baseline(&mut models, BASELINE_M, false).remove(0);

@@ -24,7 +24,7 @@ use crate::{Error, Stage};
 /// What the content of tiles means, and by which computation it came about. A change that gives
 /// features, matches or states of sub-maps other bytes, or another meaning, within one version of
 /// the program raises it: tiles of both would give a result that no run has.
-const FORMAT: u32 = 2;
+const FORMAT: u32 = 3;
 /// Folder of the tiles.
 pub(crate) const TILES: &str = ".tiepoint-tiles";
 

@@ -14,7 +14,7 @@ use tiepoint_scene::{CameraId, ImageId, Reconstruction};
 use super::input::Input;
 use super::solution::{Phase, Solution};
 use crate::event::{Failure, OptionalStage};
-use crate::mapped_model::MappedModel;
+use crate::mapped_model::{MappedModel, OtherPlace};
 use crate::register::{History, NextBestView};
 use crate::rolling_shutter::row_poses;
 use crate::saved::{Reader, Saved, Writer, saved, write_list};
@@ -282,7 +282,7 @@ impl Saved for Solution {
             kept_intrinsics,
             intrinsics_sds,
             field_sds,
-            other_place,
+            other_places,
         } = self;
         model.write(to);
         phase.write(to);
@@ -295,7 +295,7 @@ impl Saved for Solution {
         kept_intrinsics.write(to);
         intrinsics_sds.write(to);
         field_sds.write(to);
-        other_place.write(to);
+        other_places.write(to);
     }
 
     fn read(from: &mut Reader) -> Option<Self> {
@@ -311,7 +311,7 @@ impl Saved for Solution {
             kept_intrinsics: Saved::read(from)?,
             intrinsics_sds: Saved::read(from)?,
             field_sds: Saved::read(from)?,
-            other_place: Saved::read(from)?,
+            other_places: Saved::read(from)?,
         };
         let is_noise = match this.phase {
             Phase::Complete { noise } => noise.is_finite() && noise > 0.0,
@@ -321,6 +321,18 @@ impl Saved for Solution {
             && are_sound(&this.field_sds, &this.model)
             && this.intrinsics_sds.iter().all(|sds| are_sound(sds, &this.model));
         is_sound.then_some(this)
+    }
+}
+
+impl Saved for OtherPlace {
+    fn write(&self, to: &mut Writer) {
+        let Self { images, connections } = self;
+        images.write(to);
+        connections.write(to);
+    }
+
+    fn read(from: &mut Reader) -> Option<Self> {
+        Some(Self { images: Saved::read(from)?, connections: Saved::read(from)? })
     }
 }
 
@@ -337,7 +349,7 @@ impl Saved for MappedModel {
             shutters,
             row_poses: _,
             num_loop_pairs,
-            other_place,
+            other_places,
             failures,
         } = self;
         reconstruction.write(to);
@@ -348,7 +360,7 @@ impl Saved for MappedModel {
         intrinsics_sds.write(to);
         shutters.write(to);
         num_loop_pairs.write(to);
-        other_place.write(to);
+        other_places.write(to);
         failures.write(to);
     }
 
@@ -363,7 +375,7 @@ impl Saved for MappedModel {
             shutters: Saved::read(from)?,
             row_poses: BTreeMap::new(),
             num_loop_pairs: Saved::read(from)?,
-            other_place: Saved::read(from)?,
+            other_places: Saved::read(from)?,
             failures: Saved::read(from)?,
         };
         this.row_poses = row_poses(&this.reconstruction, &this.shutters);

@@ -16,9 +16,8 @@ use crate::Error;
 use crate::event::{Event, Watch, notify};
 use crate::known_frames::KnownFrames;
 use crate::mapped_model::MappedModel;
-use crate::register::{Evidence, NextBestView, contradicted, duplicate_place};
+use crate::register::{Evidence, NextBestView, contradicted};
 use crate::rigs::Descriptors;
-use crate::timeline::{images_in_time, images_of_cameras};
 use crate::tracks::{TrackOptions, filter_all_points, triangulate_image};
 
 /// Minimum angle of points that register one image and then are filtered as all are (0.5°). With an
@@ -200,24 +199,15 @@ impl<'a> Growth<'a> {
     /// Leaves the images of the smaller of two places that look alike to another model; whether the
     /// model held two places as one.
     fn leave_other_place(&mut self, watch: &mut Watch) -> Result<bool, Error> {
-        let Input { scene, graph, options, .. } = self.refiner.input;
-        if !self.may_lose_images() || self.refiner.existing.is_some() {
+        if !self.may_lose_images() {
             return Ok(false);
         }
-        // Cameras with known times have continuity, which is better evidence.
-        let is_timed = |images: &Vec<ImageId>| images_in_time(scene, images).is_some();
-        if images_of_cameras(scene).values().any(is_timed) {
-            return Ok(false);
-        }
-        let Solution { model, other_place, .. } = &mut self.refiner.solution;
-        let Some(images) = duplicate_place(graph, model, options.min_model_size, options.seed)
-        else {
-            return Ok(false);
-        };
-        images.iter().for_each(|image| model.deregister(*image));
-        filter_all_points(model, &options.filter);
-        let (num_images, num_others) = (model.num_registered(), images.len());
-        other_place.extend(images);
+        let Some(found) = self.refiner.other_place() else { return Ok(false) };
+        let Solution { model, other_places, .. } = &mut self.refiner.solution;
+        found.images.iter().for_each(|image| model.deregister(*image));
+        filter_all_points(model, &self.refiner.input.options.filter);
+        let (num_images, num_others) = (model.num_registered(), found.images.len());
+        other_places.push(found);
         notify(watch, &Event::Divided { num_images, num_others })?;
         Ok(true)
     }
@@ -288,8 +278,9 @@ impl<'a> Growth<'a> {
     fn frontier(&self) -> Vec<ImageId> {
         let (model, graph) = (self.model(), self.refiner.input.graph);
         let has_pose = |id: &ImageId| model.image(*id).cam_from_world().is_some();
-        let Solution { other_place, .. } = &self.refiner.solution;
-        let is_open = |id: &ImageId| !self.mapped_images.contains(id) && !other_place.contains(id);
+        let Solution { other_places, .. } = &self.refiner.solution;
+        let is_other = |id: &ImageId| other_places.iter().any(|place| place.images.contains(id));
+        let is_open = |id: &ImageId| !self.mapped_images.contains(id) && !is_other(id);
         let is_unregistered = |id: &ImageId| is_open(id) && !has_pose(id);
         let is_next = |id: &ImageId| graph.neighbours(*id).iter().any(has_pose);
         let images = model.images().map(|(id, _)| id);

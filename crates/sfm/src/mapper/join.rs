@@ -13,7 +13,9 @@ use std::ops::ControlFlow;
 
 use tiepoint_adjust::{RefineIntrinsics, Term};
 use tiepoint_geometry::Rigid3;
-use tiepoint_scene::{Image, ImageId, ImagePair, PointId, Reconstruction, Track};
+use tiepoint_scene::{
+    CorrespondenceGraph, Image, ImageId, ImagePair, PointId, Reconstruction, Track,
+};
 
 use super::checkpoint::{Checkpoints, Step};
 use super::existing::similarity_of_poses;
@@ -23,9 +25,10 @@ use super::refinement_schedule::RefinementSchedule;
 use super::refiner::Refiner;
 use crate::Error;
 use crate::event::{Event, Watch, notify};
-use crate::mapped_model::MappedModel;
+use crate::mapped_model::{MappedModel, OtherPlace};
 use crate::model_tools::{ModelAlignment, align_models, merge_aligned};
 use crate::options::MapperOptions;
+use crate::register::find_each_other;
 use crate::rigs::Descriptors;
 use crate::terms::reborrow;
 use crate::two_view::{Agreement, VerifyOptions, agreement};
@@ -59,10 +62,11 @@ pub(super) fn join_models(
             Some(smaller) => Some((smaller, input.scene.clone())),
             None => (larger + 1..models.len()).find_map(|smaller| {
                 let [one, other] = [larger, smaller].map(|k| &models[k]);
-                if one.is_other_place_than(other) {
-                    return None;
-                }
-                Some((smaller, joined(input, &one.reconstruction, &other.reconstruction)?))
+                let joined = match one.is_other_place_than(other) {
+                    true => joined_places(input, one, other)?,
+                    false => joined(input, one, other)?,
+                };
+                Some((smaller, joined))
             }),
         };
         let Some((smaller, model)) = found else {
@@ -73,8 +77,13 @@ pub(super) fn join_models(
         let taken = others.flat_map(|(_, model)| registered(&model.reconstruction)).collect();
         let mut refiner = Refiner::new(input, model, reborrow(terms));
         refiner.solution.initial_pair = models[larger].initial_pair;
-        let other_places = [larger, smaller].map(|k| models[k].other_place.clone());
-        refiner.solution.other_place = other_places.into_iter().flatten().collect();
+        let images = registered(&refiner.solution.model);
+        let other_places = [larger, smaller].map(|k| models[k].other_places.clone());
+        let mut other_places: Vec<OtherPlace> = other_places.into_iter().flatten().collect();
+        // One that is in the model now is none any more.
+        other_places
+            .retain(|place| 2 * place.images.intersection(&images).count() <= place.images.len());
+        refiner.solution.other_places = other_places;
         begin(checkpoints, models, larger, Some(smaller));
         // Registers images that neither model could register.
         match Growth::new(refiner, taken).finish(descriptors, watch, checkpoints) {
@@ -107,21 +116,46 @@ pub(super) fn registered(model: &Reconstruction) -> BTreeSet<ImageId> {
     model.registered().map(|(id, ..)| id).collect()
 }
 
-/// Both models in one, adjusted together; `None` without evidence.
-fn joined(input: Input, one: &Reconstruction, other: &Reconstruction) -> Option<Reconstruction> {
-    let (of_one, of_other) = (registered(one), registered(other));
+/// The verified pairs between the images of two models.
+fn pairs_between(
+    graph: &CorrespondenceGraph,
+    one: &BTreeSet<ImageId>,
+    other: &BTreeSet<ImageId>,
+) -> Vec<ImagePair> {
     let is_between = |pair: &&ImagePair| {
-        let between = |a, b| of_one.contains(a) && of_other.contains(b);
+        let between = |a, b| one.contains(a) && other.contains(b);
         between(&pair.a, &pair.b) || between(&pair.b, &pair.a)
     };
-    let between: Vec<ImagePair> = input.graph.pairs().keys().filter(is_between).copied().collect();
+    graph.pairs().keys().filter(is_between).copied().collect()
+}
+
+/// Two places that look alike in one model: only the pairs count that contradicted the one place.
+/// Some of these are wrong, and match other sides of what looks alike. Where the places meet, images
+/// of one find what those of the other see.
+fn joined_places(input: Input, one: &MappedModel, other: &MappedModel) -> Option<Reconstruction> {
+    let places = || [one, other].into_iter().flat_map(|model| &model.other_places);
+    let is_connection = |pair: &ImagePair| places().any(|place| place.connections.contains(pair));
+    let between = pairs_between(input.graph, &one.images(), &other.images());
+    let wrong: BTreeSet<ImagePair> =
+        between.into_iter().filter(|pair| !is_connection(pair)).collect();
+    let graph = input.graph.filtered(|pair| !wrong.contains(pair));
+    let model = joined(Input { graph: &graph, ..input }, one, other)?;
+    // Of the other pairs those match the same points that agree with this model.
+    let model = refined(input, model)?;
+    find_each_other(input.graph, &model, &one.images()).then_some(model)
+}
+
+/// Both models in one, adjusted together; `None` without evidence.
+fn joined(input: Input, one: &MappedModel, other: &MappedModel) -> Option<Reconstruction> {
+    let (of_one, of_other) = (one.images(), other.images());
+    let between = pairs_between(input.graph, &of_one, &of_other);
     if between.is_empty() {
         return None;
     }
     let options = MapperOptions { refine: RefineIntrinsics::NONE, ..*input.options };
     let trial = Input::of_trial(input.graph, input.scene, &options);
-    let one = detected(input, one.clone());
-    let other = with_cameras_of(trial, &one, detected(input, other.clone()))?;
+    let one = detected(input, one.reconstruction.clone());
+    let other = with_cameras_of(trial, &one, detected(input, other.reconstruction.clone()))?;
     let merged = merged(trial, &one, &other).or_else(|| merged(trial, &other, &one))?;
     if !agrees(input, &merged, &between, options.register.max_error_px) {
         return None;

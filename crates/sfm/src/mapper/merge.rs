@@ -58,7 +58,7 @@ pub(super) fn merge_rig_models(
         merged.calibration_evidence.extend(other.calibration_evidence);
         merged.row_poses = row_poses(&merged.reconstruction, &merged.shutters);
         merged.num_loop_pairs += other.num_loop_pairs;
-        merged.other_place.extend(other.other_place);
+        merged.other_places.extend(other.other_places);
         merged.failures.extend(other.failures);
         // The rig stage has run on the merged model.
         merged.failures.retain(|failure| failure.stage != OptionalStage::Rig);

@@ -1,7 +1,8 @@
 use std::collections::{BTreeMap, BTreeSet};
 
-use tiepoint_scene::{CameraId, ImageId, ImagePair, Reconstruction};
+use tiepoint_scene::{CameraId, ImagePair, Reconstruction};
 
+use crate::mapped_model::OtherPlace;
 use crate::rigs::CalibratedRig;
 use crate::rolling_shutter::RollingShutters;
 
@@ -26,8 +27,8 @@ pub(super) struct Solution {
     pub(super) intrinsics_sds: Option<BTreeMap<CameraId, Vec<f64>>>,
     /// Standard deviations of intrinsics by a fit with lens fields.
     pub(super) field_sds: BTreeMap<CameraId, Vec<f64>>,
-    /// Images of a place that looks like this one, and is another.
-    pub(super) other_place: BTreeSet<ImageId>,
+    /// Places that look like this one, and are others.
+    pub(super) other_places: Vec<OtherPlace>,
 }
 
 /// Phase of the construction.
@@ -57,7 +58,7 @@ impl Solution {
             kept_intrinsics: BTreeSet::new(),
             intrinsics_sds: None,
             field_sds: BTreeMap::new(),
-            other_place: BTreeSet::new(),
+            other_places: Vec::new(),
         }
     }
 }

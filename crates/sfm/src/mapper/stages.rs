@@ -147,7 +147,7 @@ impl Refiner<'_> {
             calibration_evidence,
             kept_intrinsics,
             field_sds,
-            other_place,
+            other_places,
             ..
         } = self.solution;
         // Later adjustments may refine them.
@@ -167,7 +167,7 @@ impl Refiner<'_> {
             shutters,
             row_poses,
             num_loop_pairs,
-            other_place,
+            other_places,
             failures,
         }
     }

@@ -16,7 +16,7 @@ mod visibility;
 pub(crate) use absolute_pose::candidates;
 pub use absolute_pose::register_image;
 pub(crate) use continuity::Timelines;
-pub(crate) use duplicates::duplicate_place;
+pub(crate) use duplicates::{duplicate_place, find_each_other};
 pub(crate) use evidence::Evidence;
 pub use localize::{Localization, QueryCamera, localize_image};
 pub(crate) use missing::contradicted;

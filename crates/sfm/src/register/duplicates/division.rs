@@ -7,43 +7,49 @@
 //! likelihood ratios are ln((1 − q) / (1 − r)) and ln(r / q). What both groups observe is the part
 //! that looks alike in both places, and counts nothing.
 //!
+//! A verified pair that contradicts the poses counts against a division that puts both images into
+//! one group: there, its poses would be right.
+//!
 //! A point weighs as much as its surroundings, the cells of images it is expected in, are of one
 //! group alone: beside what looks alike, single points tell little.
 
 use super::expected::{Expectations, Expected};
+use super::relations::Relations;
 
 /// The probability q that a point is found by an image of another place: wrong matches that agree
 /// with the poses. Of pairs of photos of two identical houses, on twins-apart, seed 11
 /// (docs/benchmarks/photos.md).
-const FOUND_ELSEWHERE: f64 = 0.12;
-/// Passes over all images until none changes its group, and rounds until the weights stay. They
-/// bound the time; not varied.
-const MAX_PASSES: usize = 60;
-const MAX_ROUNDS: usize = 8;
+pub(super) const FOUND_ELSEWHERE: f64 = 0.12;
+/// Points that a verified pair counts for: as many as an empty cell of `evidence` has at least. Not
+/// varied.
+const POINTS_OF_PAIR: f64 = 5.0;
 /// Weight of a point that no image of the other group is expected to observe.
 const UNKNOWN_WEIGHT: f64 = 0.5;
-/// Smallest gain of a change, which rounding does not reach.
-const MIN_GAIN: f64 = 1e-6;
 
 /// What is known of the points for divisions.
 pub(super) struct Points<'a> {
     pub(super) expectations: &'a Expectations,
     /// For each image the points that it observes or is expected to observe and misses.
-    of_images: Vec<Vec<(usize, bool)>>,
+    pub(super) of_images: Vec<Vec<(usize, bool)>>,
+    /// For each point the images that observe it, or are expected to and miss it.
+    pub(super) of_tracks: Vec<Vec<(usize, bool)>>,
+    pub(super) relations: &'a Relations,
+    /// For each image those of the verified pairs that contradict the poses.
+    pub(super) contradicting: Vec<Vec<usize>>,
     ln_missed: f64,
     ln_found: f64,
 }
 
 /// Observers and missing images of a point by group.
 #[derive(Clone, Copy, Default)]
-struct Counts {
+pub(super) struct Counts {
     observers: [u32; 2],
     missing: [u32; 2],
 }
 
 impl<'a> Points<'a> {
     /// `None` if points are found so rarely that a miss tells nothing.
-    pub(super) fn new(expectations: &'a Expectations) -> Option<Self> {
+    pub(super) fn new(expectations: &'a Expectations, relations: &'a Relations) -> Option<Self> {
         let found = expectations.rate().filter(|rate| *rate > FOUND_ELSEWHERE)?;
         let mut of_images = vec![Vec::new(); expectations.images.len()];
         for (track, observers) in expectations.observers.iter().enumerate() {
@@ -52,8 +58,26 @@ impl<'a> Points<'a> {
         for it in expectations.expected.iter().filter(|it| !it.is_found) {
             of_images[it.image].push((it.track, false));
         }
+        let mut of_tracks = vec![Vec::new(); expectations.observers.len()];
+        for (image, points) in of_images.iter().enumerate() {
+            points.iter().for_each(|(track, observes)| of_tracks[*track].push((image, *observes)));
+        }
+        let mut contradicting = vec![Vec::new(); of_images.len()];
+        for &(one, other) in &relations.contradictions {
+            contradicting[one].push(other);
+            contradicting[other].push(one);
+        }
         let ln_missed = ((1.0 - FOUND_ELSEWHERE) / (1.0 - found).max(f64::EPSILON)).ln();
-        Some(Self { expectations, of_images, ln_missed, ln_found: (found / FOUND_ELSEWHERE).ln() })
+        let ln_found = (found / FOUND_ELSEWHERE).ln();
+        Some(Self {
+            expectations,
+            of_images,
+            of_tracks,
+            relations,
+            contradicting,
+            ln_missed,
+            ln_found,
+        })
     }
 
     /// What a point says about a division.
@@ -66,7 +90,12 @@ impl<'a> Points<'a> {
         }
     }
 
-    fn counts(&self, sides: &[bool]) -> Vec<Counts> {
+    /// What a verified pair that contradicts the poses says against one group for both images.
+    pub(super) fn weight_of_pair(&self) -> f64 {
+        POINTS_OF_PAIR * self.ln_found
+    }
+
+    pub(super) fn counts(&self, sides: &[bool]) -> Vec<Counts> {
         let mut counts = vec![Counts::default(); self.expectations.observers.len()];
         for (image, points) in self.of_images.iter().enumerate() {
             for &(track, observes) in points {
@@ -78,7 +107,7 @@ impl<'a> Points<'a> {
 
     /// The weight of each point: the mean, over the cells in which it is expected across the
     /// groups, of the share of the expectations there that one group alone observes.
-    fn weights(&self, sides: &[bool]) -> Vec<f64> {
+    pub(super) fn weights(&self, sides: &[bool]) -> Vec<f64> {
         let Expectations { expected, cells, observers, .. } = self.expectations;
         let is_of_one: Vec<bool> =
             observers.iter().map(|images| is_of_one_group(images, sides)).collect();
@@ -101,77 +130,43 @@ impl<'a> Points<'a> {
 
     /// What the move of an image changes in the evidence of a point: of one that misses the point
     /// and one that observes it, from either group.
-    fn gains(&self, counts: &Counts) -> [[f64; 2]; 2] {
+    pub(super) fn gains(&self, counts: &Counts) -> [[f64; 2]; 2] {
         let before = self.evidence(counts);
         [false, true].map(|observes| {
             [0, 1].map(|from| {
                 let mut moved = *counts;
-                let of = moved.of(observes);
-                if of[from] == 0 {
+                if moved.of(observes)[from] == 0 {
                     return 0.0;
                 }
-                (of[from], of[1 - from]) = (of[from] - 1, of[1 - from] + 1);
+                moved.move_image(observes, from);
                 self.evidence(&moved) - before
             })
         })
     }
 
-    /// Moves single images to the other group as long as the sum grows.
-    fn improve(&self, sides: &mut [bool], weights: &[f64]) {
-        let mut counts = self.counts(sides);
-        let mut gains: Vec<[[f64; 2]; 2]> = counts.iter().map(|it| self.gains(it)).collect();
-        for _ in 0..MAX_PASSES {
-            let mut is_changed = false;
-            for (image, points) in self.of_images.iter().enumerate() {
-                let from = usize::from(sides[image]);
-                let gain_of = |&(track, observes): &(usize, bool)| {
-                    weights[track] * gains[track][usize::from(observes)][from]
-                };
-                if points.iter().map(gain_of).sum::<f64>() > MIN_GAIN {
-                    for &(track, observes) in points {
-                        let of = counts[track].of(observes);
-                        (of[from], of[1 - from]) = (of[from] - 1, of[1 - from] + 1);
-                        gains[track] = self.gains(&counts[track]);
-                    }
-                    sides[image] = !sides[image];
-                    is_changed = true;
-                }
-            }
-            if !is_changed {
-                break;
-            }
-        }
-    }
-
-    /// A division near `sides` that no single image improves: first with equal weights if
-    /// `is_random`.
-    pub(super) fn local_best(&self, mut sides: Vec<bool>, is_random: bool) -> Vec<bool> {
-        if is_random {
-            self.improve(&mut sides, &vec![1.0; self.expectations.observers.len()]);
-        }
-        for _ in 0..MAX_ROUNDS {
-            let before = sides.clone();
-            let weights = self.weights(&sides);
-            self.improve(&mut sides, &weights);
-            if sides == before {
-                break;
-            }
-        }
-        // The first image is in the first group.
-        let is_first = sides.first().copied().unwrap_or(false);
-        sides.iter().map(|side| *side != is_first).collect()
-    }
-
-    /// The sum of a division: 0 if one group is empty.
+    /// The sum of a division.
     pub(super) fn sum(&self, sides: &[bool]) -> f64 {
-        let weighted = self.weights(sides).into_iter().zip(self.counts(sides));
-        weighted.map(|(weight, counts)| weight * self.evidence(&counts)).sum()
+        self.weighted_sum(sides, &self.weights(sides))
+    }
+
+    pub(super) fn weighted_sum(&self, sides: &[bool], weights: &[f64]) -> f64 {
+        let weighted = weights.iter().zip(self.counts(sides));
+        let of_points: f64 = weighted.map(|(weight, counts)| weight * self.evidence(&counts)).sum();
+        let pairs = self.relations.contradictions.iter();
+        let num_together = pairs.filter(|(one, other)| sides[*one] == sides[*other]).count();
+        of_points - num_together as f64 * self.weight_of_pair()
     }
 }
 
 impl Counts {
     fn of(&mut self, observes: bool) -> &mut [u32; 2] {
         if observes { &mut self.observers } else { &mut self.missing }
+    }
+
+    /// Moves an image that observes the point, or misses it, to the other group.
+    pub(super) fn move_image(&mut self, observes: bool, from: usize) {
+        let of = self.of(observes);
+        (of[from], of[1 - from]) = (of[from] - 1, of[1 - from] + 1);
     }
 }
 

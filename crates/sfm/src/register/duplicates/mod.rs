@@ -17,37 +17,67 @@
 mod division;
 mod evidence;
 mod expected;
+mod moves;
+mod relations;
 mod search;
 mod spectral;
 
 use std::collections::BTreeSet;
 
-use tiepoint_scene::{CorrespondenceGraph, ImageId, Reconstruction};
+use tiepoint_scene::{CorrespondenceGraph, ImageId, ImagePair, Reconstruction};
 
+use crate::mapped_model::OtherPlace;
+use division::{FOUND_ELSEWHERE, is_across, is_within};
 use evidence::Evidence;
-use expected::Expectations;
+use expected::{CLOSE_RAD, Expectations, WIDE_RAD};
+use relations::Relations;
 
-/// The images of the smaller of two places that the model holds as one; `None` if it holds one
-/// place. A group has at least `min_images` images.
+/// The smaller of two places that the model holds as one; `None` if it holds one place. A group has
+/// at least `min_images` images. Matches of verified pairs agree with the poses to `max_error_px`.
 pub(crate) fn duplicate_place(
     graph: &CorrespondenceGraph,
     model: &Reconstruction,
     min_images: usize,
+    max_error_px: f64,
     seed: u64,
-) -> Option<BTreeSet<ImageId>> {
+) -> Option<OtherPlace> {
     if model.num_registered() < 2 * min_images.max(1) {
         return None;
     }
-    let expectations = Expectations::new(graph, model);
-    let sides = search::best_division(&expectations, seed)?;
+    let close = Expectations::new(graph, model, CLOSE_RAD);
+    let wide = || Expectations::new(graph, model, WIDE_RAD);
+    let relations = Relations::new(graph, model, max_error_px);
+    let sides = search::best_division(&close, wide, &relations, seed)?;
     let num_second = sides.iter().filter(|side| **side).count();
     let num_smaller = num_second.min(sides.len() - num_second);
-    if num_smaller < min_images || !Evidence::new(&expectations, &sides).is_of_two_places() {
+    if num_smaller < min_images || !Evidence::new(&close, &sides).is_of_two_places() {
         return None;
     }
     let is_smaller = |side: &bool| *side == (num_second == num_smaller);
-    let images = expectations.images.iter().zip(&sides);
-    Some(images.filter(|(_, side)| is_smaller(side)).map(|(image, _)| *image).collect())
+    let images = close.images.iter().zip(&sides);
+    let images = images.filter(|(_, side)| is_smaller(side)).map(|(image, _)| *image).collect();
+    let contradictions = relations.contradictions.iter();
+    let across = contradictions.filter(|(one, other)| sides[*one] != sides[*other]);
+    let pair =
+        |(one, other): &(usize, usize)| ImagePair::new(close.images[*one], close.images[*other]);
+    Some(OtherPlace { images, connections: across.filter_map(pair).collect() })
+}
+
+/// Whether the images of a group and the other ones, where they look at the same, find the points of
+/// the others as one place lets expect rather than two: more often than the geometric mean of the
+/// two shares.
+pub(crate) fn find_each_other(
+    graph: &CorrespondenceGraph,
+    model: &Reconstruction,
+    group: &BTreeSet<ImageId>,
+) -> bool {
+    let expectations = Expectations::new(graph, model, CLOSE_RAD);
+    let sides: Vec<bool> = expectations.images.iter().map(|id| group.contains(id)).collect();
+    let [across, within] = [is_across, is_within].map(|is_of| {
+        let of = || expectations.expected.iter().filter(|it| is_of(it, &sides));
+        of().filter(|it| it.is_found).count() as f64 / of().count().max(1) as f64
+    });
+    across >= (FOUND_ELSEWHERE * within).sqrt()
 }
 
 #[cfg(test)]
@@ -56,9 +86,7 @@ mod tests {
 
     use tiepoint_geometry::nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector2, Vector3};
     use tiepoint_geometry::{CameraModelKind, Intrinsics, Rigid3, Rng};
-    use tiepoint_scene::{
-        Camera, Image, ImagePair, Keypoint, Match, Observation, Track, TwoView, TwoViewKind,
-    };
+    use tiepoint_scene::{Camera, Image, Keypoint, Observation, Track, TwoView, TwoViewKind};
 
     use super::*;
 
@@ -68,8 +96,9 @@ mod tests {
     /// houses (0.59 to 0.70).
     const FOUND: f64 = 0.65;
     /// Wrong matches between the places.
-    const FOUND_ELSEWHERE: f64 = 0.002;
+    const FOUND_WRONGLY: f64 = 0.002;
     const MIN_IMAGES: usize = 3;
+    const MAX_ERROR_PX: f64 = 12.0;
     const DRAWS: u64 = 2;
 
     /// How often the images of the first and of the second group find the points of the object that
@@ -80,10 +109,10 @@ mod tests {
     }
 
     const ONE: [[f64; 2]; 2] = [[FOUND; 2]; 2];
-    const TWO: [[f64; 2]; 2] = [[FOUND, FOUND_ELSEWHERE], [FOUND_ELSEWHERE, FOUND]];
+    const TWO: [[f64; 2]; 2] = [[FOUND, FOUND_WRONGLY], [FOUND_WRONGLY, FOUND]];
 
     /// Images from all around an object on the ground, every second one of the first group.
-    fn divided(world: &World, seed: u64) -> Option<Vec<usize>> {
+    fn scene(world: &World, seed: u64) -> (CorrespondenceGraph, Reconstruction) {
         let mut rng = Rng::stream(seed, &[]);
         let intrinsics = Intrinsics::centred(CameraModelKind::SimpleRadial, 500.0, 640, 480);
         let mut model = Reconstruction::default();
@@ -134,12 +163,15 @@ mod tests {
         let pairs = images.iter().enumerate().flat_map(|(k, one)| {
             images[..k].iter().filter_map(|other| ImagePair::new(*one, *other))
         });
-        let pairs = pairs.map(|pair| {
-            let matches = vec![Match { a: 0, b: 0 }];
-            (pair, TwoView { kind: TwoViewKind::Calibrated, matches, ..TwoView::default() })
-        });
+        let two_view = TwoView { kind: TwoViewKind::Calibrated, ..TwoView::default() };
+        let pairs = pairs.map(|pair| (pair, two_view.clone()));
         let graph = CorrespondenceGraph::new(&[POINTS; IMAGES], pairs);
-        let found = duplicate_place(&graph, &model, MIN_IMAGES, seed)?;
+        (graph, model)
+    }
+
+    fn divided(world: &World, seed: u64) -> Option<Vec<usize>> {
+        let (graph, model) = scene(world, seed);
+        let found = duplicate_place(&graph, &model, MIN_IMAGES, MAX_ERROR_PX, seed)?.images;
         Some(found.into_iter().map(|image| image.index()).collect())
     }
 
@@ -176,8 +208,24 @@ mod tests {
     }
 
     #[test]
+    fn images_of_one_place_find_each_other() {
+        let is_first = |k: &usize| k % 2 == 0;
+        let group: BTreeSet<ImageId> =
+            (0..IMAGES).filter(is_first).map(|k| ImageId(k as u32)).collect();
+        let agree = |world: &World| {
+            let (graph, model) = scene(world, 0);
+            find_each_other(&graph, &model, &group)
+        };
+        assert!(agree(&World { object: ONE, surroundings: ONE }));
+        assert!(!agree(&World { object: TWO, surroundings: TWO }));
+    }
+
+    #[test]
     fn few_images_are_not_divided() {
         let none = CorrespondenceGraph::new(&[], []);
-        assert_eq!(duplicate_place(&none, &Reconstruction::default(), MIN_IMAGES, 0), None);
+        assert_eq!(
+            duplicate_place(&none, &Reconstruction::default(), MIN_IMAGES, MAX_ERROR_PX, 0),
+            None
+        );
     }
 }

@@ -13,6 +13,8 @@ use tiepoint_geometry::Rng;
 use super::division::Points;
 use super::evidence::Evidence;
 use super::expected::Expectations;
+use super::moves::{Effort, local_best};
+use super::relations::Relations;
 use super::spectral;
 
 /// Random starts. Local optima of two houses are right in some parts each. Not varied.
@@ -26,26 +28,45 @@ const MAX_COMBINATIONS: usize = 10;
 /// Key of the random streams.
 const STREAM: u64 = 0x6475_7062;
 
-/// The best division that is found; `None` if nothing suggests one.
-pub(super) fn best_division(expectations: &Expectations, seed: u64) -> Option<Vec<bool>> {
-    let points = Points::new(expectations)?;
-    let local_best = |sides: Vec<bool>| {
-        let sides = points.local_best(sides, true);
+/// The best division that is found; `None` if the `close` expectations suggest none. The `wide` ones
+/// choose among divisions.
+pub(super) fn best_division(
+    close: &Expectations,
+    wide: impl FnOnce() -> Expectations,
+    relations: &Relations,
+    seed: u64,
+) -> Option<Vec<bool>> {
+    let points = Points::new(close, relations)?;
+    let spectral = spectral::divisions(close, seed);
+    let best = |sides: Vec<bool>| {
+        let sides = local_best(&points, sides, true, Effort::Single);
         (points.sum(&sides), sides)
     };
-    let mut results: Vec<(f64, Vec<bool>)> =
-        spectral::divisions(expectations, seed).into_par_iter().map(local_best).collect();
-    sort(&mut results);
     // Most collections end here.
-    let (_, first) = results.first()?;
-    if !Evidence::new(expectations, first).suggests_two_places() {
+    let mut first: Vec<(f64, Vec<bool>)> = spectral.into_par_iter().map(best).collect();
+    sort(&mut first);
+    if !Evidence::new(close, &first.first()?.1).suggests_two_places() {
         return None;
     }
     let random = |start: u64| {
         let mut rng = Rng::stream(seed, &[STREAM, start]);
-        local_best(expectations.images.iter().map(|_| rng.below(2) == 1).collect())
+        close.images.iter().map(|_| rng.below(2) == 1).collect()
     };
-    results.par_extend((0..STARTS).into_par_iter().map(random));
+    let random: Vec<Vec<bool>> = (0..STARTS).map(random).collect();
+    let of_close = |(sides, is_random): (Vec<bool>, bool)| {
+        local_best(&points, sides, is_random, Effort::Sequences)
+    };
+    let starts = first.into_iter().map(|(_, sides)| (sides, false));
+    let starts: Vec<(Vec<bool>, bool)> =
+        starts.chain(random.into_iter().map(|sides| (sides, true))).collect();
+    let starts: Vec<Vec<bool>> = starts.into_par_iter().map(of_close).collect();
+    let wide = wide();
+    let points = Points::new(&wide, relations)?;
+    let of_wide = |sides: Vec<bool>| {
+        let sides = local_best(&points, sides, false, Effort::Sequences);
+        (points.sum(&sides), sides)
+    };
+    let mut results: Vec<(f64, Vec<bool>)> = starts.into_par_iter().map(of_wide).collect();
     sort(&mut results);
     for _ in 0..MAX_COMBINATIONS {
         let combined = combined(&points, &results);
@@ -88,6 +109,6 @@ fn combined(points: &Points, results: &[(f64, Vec<bool>)]) -> (f64, Vec<bool>) {
     // In order: the first of equal ones.
     let all: Vec<(f64, Vec<bool>)> = all.collect();
     let best = all.into_iter().reduce(better).unwrap_or_else(|| best[0].clone());
-    let improved = points.local_best(best.1.clone(), false);
+    let improved = local_best(points, best.1.clone(), false, Effort::Surroundings);
     better(best, (points.sum(&improved), improved))
 }

@@ -1,0 +1,271 @@
+//! Divisions that change by moves of images to the other group, and local search with them.
+
+use super::division::{Counts, Points};
+
+/// Passes until nothing grows, and rounds until the weights stay. They bound the time; not varied.
+const MAX_PASSES: usize = 60;
+const MAX_ROUNDS: usize = 8;
+/// Images whose surroundings are tried, evenly among all. Bounds the time; not varied.
+const MAX_CENTRES: usize = 64;
+/// Smallest gain of a change, which rounding does not reach.
+const MIN_GAIN: f64 = 1e-6;
+
+/// A division, what moves gain, and the best division since the first one.
+pub(super) struct Moves<'a> {
+    points: &'a Points<'a>,
+    weights: &'a [f64],
+    sides: Vec<bool>,
+    counts: Vec<Counts>,
+    /// [`Points::gains`] of each point.
+    gains: Vec<[[f64; 2]; 2]>,
+    /// What the move of each image gains.
+    totals: Vec<f64>,
+    moved: Vec<usize>,
+    sum: f64,
+    /// The largest sum, and after how many moves.
+    best: (f64, usize),
+}
+
+impl<'a> Moves<'a> {
+    fn new(points: &'a Points, sides: &[bool], weights: &'a [f64]) -> Self {
+        let counts = points.counts(sides);
+        let gains: Vec<[[f64; 2]; 2]> = counts.iter().map(|it| points.gains(it)).collect();
+        let total = |image: usize| -> f64 {
+            let gain = |&(track, observes): &(usize, bool)| {
+                weights[track] * gains[track][usize::from(observes)][usize::from(sides[image])]
+            };
+            let of_pair = |other: &usize| if sides[*other] == sides[image] { 1.0 } else { -1.0 };
+            let of_pairs: f64 = points.contradicting[image].iter().map(of_pair).sum();
+            let of_points: f64 = points.of_images[image].iter().map(gain).sum();
+            of_points + of_pairs * points.weight_of_pair()
+        };
+        let totals = (0..sides.len()).map(total).collect();
+        let (sides, moved) = (sides.to_vec(), Vec::new());
+        Self { points, weights, sides, counts, gains, totals, moved, sum: 0.0, best: (MIN_GAIN, 0) }
+    }
+
+    /// Moves an image to the other group.
+    fn move_image(&mut self, image: usize) {
+        self.sum += self.totals[image];
+        let from = usize::from(self.sides[image]);
+        for &(track, observes) in &self.points.of_images[image] {
+            self.counts[track].move_image(observes, from);
+            let before = self.gains[track];
+            let after = self.points.gains(&self.counts[track]);
+            self.gains[track] = after;
+            for &(other, observes) in &self.points.of_tracks[track] {
+                let (kind, side) = (usize::from(observes), usize::from(self.sides[other]));
+                // The image itself: below.
+                self.totals[other] +=
+                    self.weights[track] * (after[kind][side] - before[kind][side]);
+            }
+        }
+        self.sides[image] = !self.sides[image];
+        let side = usize::from(self.sides[image]);
+        let gain = |&(track, observes): &(usize, bool)| {
+            self.weights[track] * self.gains[track][usize::from(observes)][side]
+        };
+        let mut total: f64 = self.points.of_images[image].iter().map(gain).sum();
+        for &other in &self.points.contradicting[image] {
+            let sign = if self.sides[other] == self.sides[image] { 1.0 } else { -1.0 };
+            total += sign * self.points.weight_of_pair();
+            self.totals[other] += 2.0 * sign * self.points.weight_of_pair();
+        }
+        self.totals[image] = total;
+        self.moved.push(image);
+        if self.sum > self.best.0 {
+            self.best = (self.sum, self.moved.len());
+        }
+    }
+
+    /// Whether there is a better division than the first, which `sides` becomes.
+    fn keep_best(self, sides: &mut [bool]) -> bool {
+        self.moved[..self.best.1].iter().for_each(|image| sides[*image] = !sides[*image]);
+        self.best.1 > 0
+    }
+}
+
+/// How thorough a local search is.
+#[derive(Clone, Copy, Debug, PartialEq, PartialOrd)]
+pub(super) enum Effort {
+    /// Moves of single images that gain.
+    Single,
+    /// Also sequences of moves, of which some lose.
+    Sequences,
+    /// Also moves of all images around one.
+    Surroundings,
+}
+
+/// A division near `sides` that the search does not improve: first with equal weights if
+/// `is_random`.
+pub(super) fn local_best(
+    points: &Points,
+    mut sides: Vec<bool>,
+    is_random: bool,
+    effort: Effort,
+) -> Vec<bool> {
+    if is_random {
+        improve(points, &mut sides, &vec![1.0; points.of_tracks.len()], Effort::Single);
+    }
+    for _ in 0..MAX_ROUNDS {
+        let before = sides.clone();
+        let weights = points.weights(&sides);
+        improve(points, &mut sides, &weights, effort);
+        if sides == before {
+            break;
+        }
+    }
+    // The first image is in the first group.
+    let is_first = sides.first().copied().unwrap_or(false);
+    sides.iter().map(|side| *side != is_first).collect()
+}
+
+fn improve(points: &Points, sides: &mut [bool], weights: &[f64], effort: Effort) {
+    single(points, sides, weights);
+    if effort >= Effort::Sequences {
+        sequences(points, sides, weights);
+    }
+    if effort >= Effort::Surroundings {
+        while surroundings(points, sides, weights) {
+            sequences(points, sides, weights);
+        }
+    }
+}
+
+/// Moves single images as long as the sum grows.
+fn single(points: &Points, sides: &mut [bool], weights: &[f64]) {
+    let mut moves = Moves::new(points, sides, weights);
+    for _ in 0..MAX_PASSES {
+        let before = moves.moved.len();
+        for image in 0..sides.len() {
+            if moves.totals[image] > MIN_GAIN {
+                moves.move_image(image);
+            }
+        }
+        if moves.moved.len() == before {
+            break;
+        }
+    }
+    sides.copy_from_slice(&moves.sides);
+}
+
+/// Moves images one after the other, each the one that gains most or loses least among those that
+/// were not moved yet, and keeps the best of these divisions (Fiduccia & Mattheyses 1982), as long
+/// as the sum grows.
+fn sequences(points: &Points, sides: &mut [bool], weights: &[f64]) {
+    for _ in 0..MAX_PASSES {
+        let mut moves = Moves::new(points, sides, weights);
+        let mut open: Vec<usize> = (0..sides.len()).collect();
+        // After all, the groups are exchanged.
+        for _ in 0..sides.len() / 2 {
+            let total = |at: &usize| moves.totals[open[*at]];
+            let Some(at) = (0..open.len()).max_by(|a, b| total(a).total_cmp(&total(b))) else {
+                break;
+            };
+            moves.move_image(open.remove(at));
+        }
+        if !moves.keep_best(sides) {
+            break;
+        }
+    }
+}
+
+/// Moves the images around one, the nearest first, and keeps the best of these divisions, for each
+/// of several. Where few photos connect two directions, the groups may be exchanged in one of them.
+/// Returns whether the sum grew.
+fn surroundings(points: &Points, sides: &mut [bool], weights: &[f64]) -> bool {
+    let mut is_changed = false;
+    for nearest in points.relations.nearest.iter().step_by(sides.len().div_ceil(MAX_CENTRES).max(1))
+    {
+        let mut moves = Moves::new(points, sides, weights);
+        nearest[..sides.len() / 2].iter().for_each(|image| moves.move_image(*image));
+        is_changed |= moves.keep_best(sides);
+    }
+    is_changed
+}
+
+#[cfg(test)]
+mod tests {
+    use tiepoint_geometry::Rng;
+    use tiepoint_scene::ImageId;
+
+    use super::*;
+    use crate::register::duplicates::expected::{Expectations, Expected, MAX_WITNESSES};
+    use crate::register::duplicates::relations::Relations;
+
+    const IMAGES: usize = 12;
+    const TRACKS: usize = 40;
+    const MOVES: usize = 20;
+    /// Of sums of some hundred terms.
+    const TOLERANCE: f64 = 1e-9;
+
+    /// Random observations, expectations and contradictions.
+    fn random(rng: &mut Rng) -> (Expectations, Relations) {
+        let images = (0..IMAGES as u32).map(ImageId).collect();
+        let (mut observers, mut expected, mut cells) = (Vec::new(), Vec::new(), Vec::new());
+        for track in 0..TRACKS {
+            let of_track: Vec<usize> = (0..IMAGES).filter(|_| rng.uniform() < 0.4).collect();
+            let begin = expected.len();
+            for image in 0..IMAGES {
+                let Some(witness) = of_track.iter().find(|it| **it != image) else { continue };
+                let (witnesses, is_found) = ([*witness; MAX_WITNESSES], of_track.contains(&image));
+                expected.push(Expected { image, track, is_found, witnesses });
+            }
+            cells.push(begin..expected.len());
+            observers.push(of_track);
+        }
+        let contradictions = (0..4).map(|one| (one, one + 1 + rng.below(IMAGES - 5))).collect();
+        let nearest = (0..IMAGES).map(|k| (0..IMAGES).map(|i| (i + k) % IMAGES).collect());
+        let relations = Relations { nearest: nearest.collect(), contradictions };
+        (Expectations { images, observers, expected, cells }, relations)
+    }
+
+    const DRAWS: u64 = 32;
+
+    /// The slow twin: the sum of each division.
+    #[test]
+    fn what_moves_gain_is_the_difference_of_the_sums() {
+        for seed in 0..DRAWS {
+            let mut rng = Rng::stream(seed, &[]);
+            let (expectations, relations) = random(&mut rng);
+            let points = Points::new(&expectations, &relations).expect("many points are found");
+            let mut sides: Vec<bool> = (0..IMAGES).map(|_| rng.below(2) == 1).collect();
+            let weights: Vec<f64> = (0..TRACKS).map(|_| rng.uniform()).collect();
+            let first = points.weighted_sum(&sides, &weights);
+            let mut moves = Moves::new(&points, &sides, &weights);
+            for _ in 0..MOVES {
+                let before = points.weighted_sum(&sides, &weights);
+                for image in 0..IMAGES {
+                    let mut moved = sides.clone();
+                    moved[image] = !moved[image];
+                    let gain = points.weighted_sum(&moved, &weights) - before;
+                    assert!((moves.totals[image] - gain).abs() < TOLERANCE, "seed {seed}");
+                }
+                assert!((moves.sum - (before - first)).abs() < TOLERANCE, "seed {seed}");
+                let image = rng.below(IMAGES);
+                moves.move_image(image);
+                sides[image] = !sides[image];
+            }
+        }
+    }
+
+    /// With the same weights.
+    #[test]
+    fn more_effort_finds_no_worse_division() {
+        for seed in 0..DRAWS {
+            let mut rng = Rng::stream(seed, &[]);
+            let (expectations, relations) = random(&mut rng);
+            let points = Points::new(&expectations, &relations).expect("many points are found");
+            let first: Vec<bool> = (0..IMAGES).map(|_| rng.below(2) == 1).collect();
+            let weights: Vec<f64> = (0..TRACKS).map(|_| rng.uniform()).collect();
+            let mut last = points.weighted_sum(&first, &weights);
+            for effort in [Effort::Single, Effort::Sequences, Effort::Surroundings] {
+                let mut sides = first.clone();
+                improve(&points, &mut sides, &weights, effort);
+                let sum = points.weighted_sum(&sides, &weights);
+                assert!(sum > last - TOLERANCE, "seed {seed}, {effort:?}");
+                last = sum;
+            }
+        }
+    }
+}
