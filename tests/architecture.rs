@@ -231,7 +231,6 @@ const LONG: &[(&str, usize, &str)] = &[
     ("crates/dense/src/undistort/rgb_row.rs: mix", 85, "one pass with all values in registers"),
     ("crates/features/src/descriptor.rs: histogram", 107, "one loop with all values in registers"),
     ("crates/geometry/src/testing/solver_laws.rs: solver_problem", 93, "an arm for each solver"),
-    ("crates/pipeline/src/models/export.rs: write_as", 81, "an arm for each format"),
     (
         "crates/io/tests/io/exports.rs: gltf_has_the_points_and_cameras_of_the_model",
         99,

@@ -15,6 +15,7 @@ use crate::reduced::EliminatedSystem;
 use crate::schur::SchurSystem;
 use crate::structure::{LandmarkBlock, NONE};
 use crate::summary::Times;
+use crate::undetermined::undetermined_variable;
 use crate::variable::{AnyKey, Role};
 
 /// A direction is undetermined if its variance is larger by this factor than its conditional
@@ -61,7 +62,8 @@ impl Problem {
     ///
     /// # Errors
     /// [`Error::UnknownVariable`] for a key that the problem does not have, [`Error::Undetermined`]
-    /// if the factors do not determine a variable, [`Error::NotFinite`] if a factor is not finite,
+    /// if the factors do not determine a variable: a requested one, or any that leaves the system
+    /// without a solution, which is named; [`Error::NotFinite`] if a factor is not finite,
     /// and the errors of [`Solver::new`](crate::Solver::new) about the structure.
     pub fn covariance(&self, keys: &[AnyKey]) -> Result<Covariance, Error> {
         Ok(InverseColumns::new(self, keys)?.covariance)
@@ -101,7 +103,10 @@ impl InverseColumns {
         // The whole system has to be solvable, whichever variable is undetermined.
         let eliminated_system =
             EliminatedSystem { structure: &system.structure, memory: &system.memory };
-        system.reduced.factorise(eliminated_system).map_err(|_| undetermined(first_key))?;
+        if system.reduced.factorise(eliminated_system).is_err() {
+            let variable = undetermined_variable(problem, &mut system);
+            return Err(undetermined(&variable.unwrap_or(*first_key)));
+        }
         let mut terms = CovarianceTerms::new(columns, first[keys.len()]);
         for (key, &at) in keys.iter().zip(&first) {
             let (store, slot) = problem.locate(key)?;

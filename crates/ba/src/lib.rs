@@ -25,6 +25,7 @@ mod spanning_tree;
 mod structure;
 mod summary;
 pub mod testing;
+mod undetermined;
 mod variable;
 
 pub use clustered_covariance::ClusteredCovariance;

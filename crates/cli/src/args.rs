@@ -15,6 +15,7 @@ use tiepoint_pipeline::input::{
 };
 use tiepoint_pipeline::models::{ExportFormat, UndistortOptions};
 use tiepoint_pipeline::sfm::RigMode;
+use tiepoint_pipeline::sfm::geometry::crs::Crs;
 use tiepoint_pipeline::sfm::geometry::{CameraModelKind, Intrinsics};
 use tiepoint_pipeline::sfm::matching::PairSelection;
 use tiepoint_pipeline::sfm::rolling_shutter::Readout;
@@ -843,8 +844,9 @@ pub(crate) struct Export {
     /// readout time of rolling shutters), gsplat (a folder with the photos, sparse/0 with the
     /// detected keypoints, and rolling_shutter.json with viewmats of first and last rows), kalibr
     /// (camchain.yaml with extrinsics and time offsets of the rig), geojson or gpx (the paths of
-    /// the cameras of a georeferenced model on WGS 84, for maps). Trainers that want PINHOLE
-    /// images, as Brush and LichtFeld, take the folder of `undistort`.
+    /// the cameras of a georeferenced model on WGS 84, for maps), csv (image,x,y,z: the centres of
+    /// the cameras, as --position-priors takes them). Trainers that want PINHOLE images, as Brush
+    /// and LichtFeld, take the folder of `undistort`.
     #[arg(
         long,
         value_name = "FORMAT",
@@ -860,6 +862,14 @@ pub(crate) struct Export {
     /// Inputs are never replaced, nor other files in a folder.
     #[arg(long)]
     pub(crate) overwrite: bool,
+    /// Coordinates in this system, as EPSG:32632, of a georeferenced model.
+    ///
+    /// For ply, las and csv; by default they are in the frame of the model. EPSG:4326 and EPSG:4979
+    /// (WGS 84: longitude, latitude, height), EPSG:4978 (ECEF), EPSG:32601 to 32660 and 32701 to
+    /// 32760 (UTM on WGS 84), EPSG:25828 to 25838 (UTM on ETRS89, taken as equal to WGS 84).
+    /// Heights are above the ellipsoid. LAS files state the system.
+    #[arg(long, value_name = "CODE", conflicts_with = "rigid")]
+    pub(crate) crs: Option<Crs>,
     /// The folder that the names of the model's images are relative to.
     ///
     /// By default the photos are the inputs of the workspace.

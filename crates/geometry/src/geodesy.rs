@@ -133,8 +133,24 @@ impl UtmZone {
         (1..=60).contains(&number).then_some(Self { number, is_north })
     }
 
+    /// Width of a zone, in degrees of longitude.
+    pub const WIDTH_DEG: f64 = 6.0;
+
+    /// The zone that a place is in, by its longitude: without the exceptions of Norway and
+    /// Svalbard.
+    pub fn of(place: &Geodetic) -> Self {
+        let from_west_deg = (place.longitude_deg + 180.0).rem_euclid(360.0);
+        let number = 1 + (from_west_deg / Self::WIDTH_DEG) as u8;
+        Self { number: number.clamp(1, 60), is_north: place.latitude_deg >= 0.0 }
+    }
+
+    /// The longitude of its middle.
+    pub fn central_meridian_deg(self) -> f64 {
+        Self::WIDTH_DEG * f64::from(self.number) - 183.0
+    }
+
     fn central_meridian_rad(self) -> f64 {
-        (6.0 * f64::from(self.number) - 183.0).to_radians()
+        self.central_meridian_deg().to_radians()
     }
 
     /// Easting and northing of a place, in metres, and its height: the series of Krüger (1912) to
@@ -279,6 +295,9 @@ mod tests {
             assert!(back.norm() < SERIES_M, "{code}: {back}");
             let turned_deg = zone.unproject(&found).longitude_deg - longitude_deg;
             assert!(turned_deg.abs() < 1.0, "{code}: from -180 to 180 across the date line, too");
+            // 11.5755° and 13.195° are in zones 32 and 33, -179° in zone 1.
+            let is_beside = code == 32660;
+            assert_eq!(UtmZone::of(&place) == zone, !is_beside, "{code}");
         }
         for code in [4326, 32600, 32661, 32700, 32761] {
             assert_eq!(UtmZone::from_epsg(code), None);

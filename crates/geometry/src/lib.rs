@@ -3,6 +3,7 @@
 mod simd;
 #[macro_use]
 pub mod cameras;
+pub mod crs;
 pub mod epipolar;
 mod error;
 pub mod estimate;

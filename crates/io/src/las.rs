@@ -2,6 +2,7 @@
 //! and written with the package `las`.
 
 mod claims;
+mod wkt;
 
 use std::fs::File;
 use std::io::{BufReader, Cursor, Write};
@@ -10,6 +11,7 @@ use std::path::Path;
 
 use las::point::Format;
 use las::{Builder, Color, Point, PointData, Reader, Transform, Vector, Writer};
+use tiepoint_geometry::crs::Crs;
 use tiepoint_geometry::nalgebra::Vector3;
 
 use crate::atomic::write_atomic;
@@ -21,6 +23,8 @@ const CHUNK_BYTES: u64 = 1 << 21;
 /// Coordinates are integer multiples of this, in units of the cloud (metres): finer than the
 /// resolution of scanners.
 const RESOLUTION: f64 = 1e-4;
+/// The same in degrees: 0.11 mm of latitude. A file holds 2.1 degrees.
+const RESOLUTION_DEG: f64 = 1e-9;
 const GREY: [u8; 3] = [128; 3];
 
 fn error(path: &Path) -> impl Fn(las::Error) -> Error {
@@ -76,13 +80,38 @@ fn vertex(point: &Point) -> Vertex {
 ///
 /// If a coordinate does not fit the format, and if the file cannot be written.
 pub fn write(path: &Path, vertices: &[Vertex]) -> Result<()> {
+    write_with(path, vertices, RESOLUTION, None)
+}
+
+/// [`write()`] of coordinates in a system, which the file states (as WKT, OGC 01-009). Without
+/// `has_heights` it states no system of the heights.
+///
+/// # Errors
+///
+/// As there.
+pub fn write_in(path: &Path, vertices: &[Vertex], crs: Crs, has_heights: bool) -> Result<()> {
+    let horizontal = match crs {
+        Crs::Geographic { .. } => RESOLUTION_DEG,
+        Crs::Geocentric | Crs::Utm { .. } => RESOLUTION,
+    };
+    write_with(path, vertices, horizontal, Some(wkt::wkt(crs, has_heights)))
+}
+
+/// `horizontal`: resolution of x and y.
+fn write_with(
+    path: &Path,
+    vertices: &[Vertex],
+    horizontal: f64,
+    wkt: Option<String>,
+) -> Result<()> {
     let is_compressed =
         path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("laz"));
     let mut least = vertices.first().map_or_else(Vector3::zeros, |vertex| vertex.xyz);
     for vertex in vertices {
         least = least.inf(&vertex.xyz);
     }
-    let transform = |axis: usize| Transform { scale: RESOLUTION, offset: least[axis].floor() };
+    let scales = [horizontal, horizontal, RESOLUTION];
+    let transform = |axis: usize| Transform { scale: scales[axis], offset: least[axis].floor() };
     let mut builder = Builder::from((1, 4));
     builder.point_format = Format::new(2).map_err(error(path))?;
     builder.point_format.is_compressed = is_compressed;
@@ -90,7 +119,11 @@ pub fn write(path: &Path, vertices: &[Vertex]) -> Result<()> {
     builder.generating_software = "tiepoint".to_owned();
     // No date, so that equal clouds give equal files.
     builder.date = None;
-    let header = builder.into_header().map_err(error(path))?;
+    let mut header = builder.into_header().map_err(error(path))?;
+    if let Some(wkt) = wkt {
+        // The specification wants a zero at its end.
+        header.set_wkt_crs([wkt.as_bytes(), &[0]].concat()).map_err(error(path))?;
+    }
     let mut writer = Writer::new(Cursor::new(Vec::new()), header).map_err(error(path))?;
     for Vertex { xyz, color } in vertices {
         // 257 · 255 = 65535.

@@ -4,6 +4,7 @@
 use std::io::Write;
 use std::path::Path;
 
+use tiepoint_geometry::crs::Crs;
 use tiepoint_geometry::nalgebra::Vector3;
 use tiepoint_scene::Reconstruction;
 
@@ -50,13 +51,26 @@ pub fn camera_centres(model: &Reconstruction) -> Vec<Vertex> {
 ///
 /// If the file cannot be written.
 pub fn write(path: &Path, vertices: &[Vertex]) -> Result<()> {
-    let is_far = is_far_from_origin(vertices);
+    write_with(path, vertices, "tiepoint", is_far_from_origin(vertices))
+}
+
+/// Writes points whose coordinates are in a system, which a comment states, in double precision.
+///
+/// # Errors
+///
+/// If the file cannot be written.
+pub fn write_in(path: &Path, vertices: &[Vertex], crs: Crs, has_heights: bool) -> Result<()> {
+    let comments = format!("tiepoint\ncomment {}", crs.in_words(has_heights));
+    write_with(path, vertices, &comments, true)
+}
+
+fn write_with(path: &Path, vertices: &[Vertex], comment: &str, is_double: bool) -> Result<()> {
     write_atomic(path, |file| {
         let count = vertices.len() as u64;
-        let real = if is_far { "double" } else { "float" };
-        file.write_all(header(Some("tiepoint"), count, real, &["x", "y", "z"], &[]).as_bytes())?;
+        let real = if is_double { "double" } else { "float" };
+        file.write_all(header(Some(comment), count, real, &["x", "y", "z"], &[]).as_bytes())?;
         vertices.iter().try_for_each(|vertex| {
-            vertex.xyz.iter().try_for_each(|value| match is_far {
+            vertex.xyz.iter().try_for_each(|value| match is_double {
                 true => file.write_all(&value.to_le_bytes()),
                 false => file.write_all(&(*value as f32).to_le_bytes()),
             })?;

@@ -4,10 +4,12 @@
 //! place of images, a track has times of a clock of its own, `seconds`.
 
 use std::collections::BTreeMap;
+use std::io::Write;
 use std::path::Path;
 
 use tiepoint_geometry::nalgebra::Vector3;
 use tiepoint_scene::{Place, Position, PositionTrack};
+use tiepoint_store::AtomicFile;
 
 use crate::Result;
 use crate::text::excerpt::Excerpt;
@@ -145,6 +147,28 @@ pub fn read(path: &Path) -> Result<BTreeMap<String, Position>> {
         }
     })?;
     Ok(positions)
+}
+
+/// Writes places by the names of images, all of one kind, as [`read`] reads them, to a tenth of a
+/// millimetre.
+///
+/// # Errors
+///
+/// If the file cannot be written.
+pub fn write(path: &Path, places: &[(&str, Place)]) -> Result<()> {
+    let is_geodetic = matches!(places.first(), Some((_, Place::Geodetic { .. })));
+    let columns = if is_geodetic { "lat,lon,alt" } else { "x,y,z" };
+    let mut text = format!("{IMAGE},{columns}\n");
+    for (name, place) in places {
+        text += &match place {
+            Place::Geodetic { latitude_deg, longitude_deg, altitude_m } => {
+                let altitude = altitude_m.map_or_else(String::new, |m| format!("{m:.4}"));
+                format!("{name},{latitude_deg:.9},{longitude_deg:.9},{altitude}\n")
+            }
+            Place::Cartesian(xyz) => format!("{name},{:.4},{:.4},{:.4}\n", xyz.x, xyz.y, xyz.z),
+        };
+    }
+    Ok(AtomicFile::write_with(path, |out| out.write_all(text.as_bytes()))?)
 }
 
 /// Reads a track: in each line the time in seconds, of any clock, comes first.

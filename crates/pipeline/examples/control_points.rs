@@ -10,8 +10,8 @@
 //! problem is undetermined). Then one control point is off by 0.3, 1 or 3 m, or one mark by 60 px:
 //! how often it is named, how often it is one of several that may be wrong, how many right ones are
 //! named, and the errors that are detected and attributed in 80 % of cases.
-//! `--write FOLDER` writes the models of the first seed before and after, and the points, for a
-//! second opinion (`bench/positions.py points`).
+//! `--write FOLDER` writes the models with a wrong lens before and after, and the points, for a
+//! second opinion (`bench/positions.py points --ceres`).
 
 #![allow(clippy::print_stdout, reason = "an example shows its result")]
 
@@ -462,8 +462,9 @@ fn print_errors(scene: &Scene, survey: Survey, seeds: u64, folder: Option<&Path>
                 sums[2] += mean_square(&point_errors(&placed, &true_pixels));
                 sums[1] += bounds[k][0];
                 sums[3] += bounds[k][1];
-                if let (1, 1, Method::Lens, Some(folder)) = (seed, bend, method, folder) {
-                    let folder = folder.join(scene.name.split(' ').next().unwrap_or("scene"));
+                if let (1, Method::Lens, Some(folder)) = (bend, method, folder) {
+                    let name = scene.name.split(' ').next().unwrap_or("scene");
+                    let folder = folder.join(format!("{name}-{seed}"));
                     write(&folder, "before", &model)?;
                     write(&folder, "after", &placed)?;
                     write_points(&folder, &model, &points)?;

@@ -3,6 +3,7 @@ use std::path::{Path, PathBuf};
 
 use tiepoint_input::Size;
 use tiepoint_io::features::DescriptorFormat;
+use tiepoint_sfm::geometry::crs::Crs;
 
 use crate::{Shard, Stage};
 
@@ -690,6 +691,45 @@ pub enum Error {
     NoPlace {
         /// The model.
         model: PathBuf,
+    },
+    /// A coordinate reference system has heights, and the model has none.
+    #[error(
+        "{crs} takes heights, and the positions of {model} had none: choose EPSG:4326 or a zone of \
+        UTM, whose coordinates do not depend on them"
+    )]
+    NoHeights {
+        /// The model.
+        model: PathBuf,
+        /// The system.
+        crs: Crs,
+    },
+    /// A model is far outside of a zone of UTM.
+    #[error(
+        "{model} has a point at latitude {latitude_deg:.4} and longitude {longitude_deg:.4}, far \
+        outside of {crs}: there, the zone of UTM is {zone}"
+    )]
+    OutsideCrs {
+        /// The model.
+        model: PathBuf,
+        /// The system.
+        crs: Crs,
+        /// The zone of the point.
+        zone: Crs,
+        /// Latitude of the point, in degrees.
+        latitude_deg: f64,
+        /// Its longitude.
+        longitude_deg: f64,
+    },
+    /// A format cannot be written in a coordinate reference system.
+    #[error(
+        "{format} is not written in {crs}: ply, las and csv are in any, geojson and gpx in \
+        EPSG:4326 and EPSG:4979 only"
+    )]
+    NotInCrs {
+        /// The format.
+        format: &'static str,
+        /// The system.
+        crs: Crs,
     },
     /// A workspace has no dense cloud.
     #[error(

@@ -1,6 +1,7 @@
 //! Covariances, compared with a problem without elimination, with a textbook formula, and with the
 //! scatter of estimates; and errors for undetermined variables.
 
+use proptest::prelude::*;
 use tiepoint_ba::autodiff::{AutoDiff, Residual, Scalar};
 use tiepoint_ba::factors::{Prior, Reprojection, RigReprojection};
 use tiepoint_ba::nalgebra::{DMatrix, Vector2, Vector3, Vector4};
@@ -142,6 +143,108 @@ fn without_a_fixed_gauge_it_is_an_error() {
         problem.covariance(&[strange.into()]),
         Err(Error::UnknownVariable { slot: 2, .. })
     ));
+}
+
+/// A step from one place to another, measured along both axes, or along x alone.
+struct Step {
+    has_y: bool,
+}
+impl Residual<2> for Step {
+    type Vars = (Vector2<f64>, Vector2<f64>);
+    fn residual<T: Scalar>(&self, (a, b): ([T; 2], [T; 2])) -> Option<[T; 2]> {
+        let y = if self.has_y { 1.0 } else { 0.0 };
+        Some([b[0] - a[0], (b[1] - a[1]) * y])
+    }
+}
+
+/// Largest component of a vector of the null space for a variable that it does not move.
+const ROUNDING: f64 = 1e-9;
+
+proptest! {
+    #![proptest_config(ProptestConfig {
+        cases: 64,
+        failure_persistence: None,
+        ..Default::default()
+    })]
+
+    /// Places that are connected by steps, some of which are known: where the system cannot be
+    /// solved, the variable that is named is moved by the null space of J, which the singular value
+    /// decomposition of nalgebra gives, whichever variable is asked for.
+    #[test]
+    fn the_variable_that_is_named_is_undetermined(
+        steps in prop::collection::vec((0..6usize, 0..6usize, any::<bool>()), 3..14),
+        known in prop::collection::btree_set(0..6usize, 1..4),
+    ) {
+        let mut problem = Problem::new();
+        let places: Vec<_> = (0..6)
+            .map(|_| problem.add_parameter(Vector2::zeros(), EliminationOrder::Last))
+            .collect();
+        let mut rows: Vec<[f64; 12]> = Vec::new();
+        let mut row = |entries: &[(usize, f64)]| {
+            let mut row = [0.0; 12];
+            entries.iter().for_each(|(column, value)| row[*column] = *value);
+            rows.push(row);
+        };
+        for &(a, b, has_y) in steps.iter().filter(|(a, b, _)| a != b) {
+            problem.add((places[a], places[b]), AutoDiff(Step { has_y }), Loss::Trivial).unwrap();
+            for axis in 0..1 + usize::from(has_y) {
+                row(&[(2 * a + axis, -1.0), (2 * b + axis, 1.0)]);
+            }
+        }
+        for &k in &known {
+            let prior = Prior::new(Vector2::zeros(), &[1.0; 2]).unwrap();
+            problem.add(places[k], prior, Loss::Trivial).unwrap();
+            (0..2).for_each(|axis| row(&[(2 * k + axis, 1.0)]));
+        }
+        let jacobian = DMatrix::from_fn(rows.len().max(12), 12, |i, j| {
+            rows.get(i).map_or(0.0, |row| row[j])
+        });
+        let svd = jacobian.svd(false, true);
+        let directions = svd.v_t.unwrap();
+        let null: Vec<_> = (0..12).filter(|&k| svd.singular_values[k] < ROUNDING).collect();
+        let is_moved = |slot: usize| {
+            null.iter().any(|&k| directions.view((k, 2 * slot), (1, 2)).amax() > ROUNDING)
+        };
+        for (asked, key) in places.iter().enumerate() {
+            match problem.covariance(&[(*key).into()]) {
+                Err(Error::Undetermined { slot, .. }) => {
+                    prop_assert!(is_moved(slot as usize), "{slot} for {asked}: {null:?}");
+                }
+                Err(error) => prop_assert!(false, "{error}"),
+                Ok(_) => prop_assert!(!is_moved(asked), "{asked}"),
+            }
+        }
+    }
+}
+
+/// A pose with one observation, and a point with one, are named, whichever variable is asked for.
+#[test]
+fn variables_with_one_observation_are_named() {
+    for is_pose in [true, false] {
+        let mut scene = Scene::new(4, 12, 1.0, 4, Intrinsics::Shared, NOISE_PX);
+        scene.fix_gauge();
+        let (params, seen) = (scene.intrinsics[0], scene.points[0]);
+        let (sees, known) = (scene.poses[2], AnyKey::from(scene.poses[3]));
+        let problem = &mut scene.problem;
+        let factor = Reprojection::<SimpleRadial>::new(Vector2::zeros(), NOISE_PX);
+        let lone: AnyKey = if is_pose {
+            let pose = problem.add_parameter(problem.get(sees), EliminationOrder::At(0));
+            problem.add((params, pose, seen), factor, Loss::Trivial).unwrap();
+            pose.into()
+        } else {
+            let point = problem.add_landmark(problem.get(seen));
+            problem.add((params, sees, point), factor, Loss::Trivial).unwrap();
+            point.into()
+        };
+        let of_lone = problem.covariance(&[lone]).unwrap_err();
+        let number = if is_pose { scene.poses.len() } else { scene.points.len() };
+        assert!(of_lone.to_string().contains(&format!("number {number},")), "{of_lone}");
+        match problem.covariance(&[known]) {
+            Err(error) => assert_eq!(error, of_lone),
+            // A point on its ray takes no part in the reduced system.
+            Ok(covariance) => assert!(!is_pose && covariance.matrix().amax().is_finite()),
+        }
+    }
 }
 
 /// The covariance of rig extrinsics matches their scatter about the truth over many samples of the

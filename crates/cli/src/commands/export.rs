@@ -20,8 +20,12 @@ pub(crate) fn export(args: &Export, output: &Output) -> Result<(), Failure> {
         (false, false) => export_model,
     };
     let model = open_model(&args.workspace, output)?;
-    let source =
-        ExportSource { model: &model, images: args.images.as_deref(), overwrite: args.overwrite };
+    let source = ExportSource {
+        model: &model,
+        images: args.images.as_deref(),
+        crs: args.crs,
+        overwrite: args.overwrite,
+    };
     let exported = write(&source, args.to, &args.output)?;
     output.result(&exported, || describe(&exported))
 }
@@ -37,5 +41,6 @@ fn describe(exported: &Exported) -> String {
         0 => String::new(),
         count => format!("{count} photos are in their places already and were not copied\n"),
     };
-    format!("{rigid}{in_place}{}\n", exported.path.display())
+    let crs = exported.crs.as_ref().map_or_else(String::new, |crs| format!(": {crs}"));
+    format!("{rigid}{in_place}{}{crs}\n", exported.path.display())
 }

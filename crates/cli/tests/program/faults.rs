@@ -105,6 +105,7 @@ impl Command {
                 let source = ExportSource {
                     model: &LocatedModel::open(&ws)?,
                     images: None,
+                    crs: None,
                     overwrite: false,
                 };
                 export(&source, format, &dir.join("out").join(name)).map(drop)

@@ -6,6 +6,9 @@ use std::path::Path;
 
 use serde_json::Value;
 use tiepoint_pipeline::io::colmap::{Format, read_model, write_model};
+use tiepoint_pipeline::io::ply;
+use tiepoint_pipeline::sfm::geometry::crs::Crs;
+use tiepoint_pipeline::sfm::geometry::geodesy::{Geodetic, LocalFrame};
 use tiepoint_pipeline::sfm::geometry::nalgebra::{Vector2, Vector3};
 use tiepoint_pipeline::sfm::geometry::{CameraModelKind, Intrinsics, Rigid3, Sim3, so3};
 use tiepoint_pipeline::sfm::scene::{
@@ -17,6 +20,9 @@ use crate::tiepoint_in;
 const NUM_IMAGES: usize = 8;
 /// Numbers in files keep all bits; some operations round.
 const ROUNDING: f64 = 1e-9;
+/// Metres and degrees are printed to a tenth of a millimetre; the alignment is exact to a tenth of
+/// that.
+const PRINTED_M: f64 = 2e-4;
 
 /// Eight images on a curve, looking at points in a slab ahead of them.
 fn scene() -> Reconstruction {
@@ -192,9 +198,114 @@ fn alignment_to_positions_ignores_wrong_ones() {
     tiepoint_in(dir, &line.replace("0.1", "1e-9")).failed(1, &["not on a line"]);
 }
 
+/// Of the aligned model in `b`; `truth` has its true coordinates in `frame`.
+fn exports_are_in_the_system_that_is_asked_for(
+    dir: &Path,
+    frame: &LocalFrame,
+    truth: &Reconstruction,
+) {
+    let in_crs = |epsg: u32, local: &Vector3<f64>| {
+        Crs::from_epsg(epsg).unwrap().project(&frame.to_geodetic(local))
+    };
+    let centre = |image: &str| {
+        let (.., pose) = truth.registered().find(|(_, found, _)| found.name == image).unwrap();
+        pose.origin_in_a()
+    };
+    let line = "export {}/b --to csv -o {}/c.csv --overwrite";
+    let rows = |command: &str, columns: &str| -> Vec<(String, Vec<Option<f64>>)> {
+        tiepoint_in(dir, command).done();
+        let text = fs::read_to_string(dir.join("c.csv")).unwrap();
+        let (header, rows) = text.split_once('\n').unwrap();
+        assert_eq!(header, format!("image,{columns}"));
+        let row = |row: &str| {
+            let mut words = row.split(',');
+            let name = words.next().unwrap().to_owned();
+            (name, words.map(|word| word.parse().ok()).collect())
+        };
+        rows.lines().map(row).collect()
+    };
+    // The model is on both sides of the date line, between these zones.
+    for (epsg, columns) in [(32760, "x,y,z"), (32701, "x,y,z"), (4978, "x,y,z")] {
+        let rows = rows(&format!("{line} --crs EPSG:{epsg}"), columns);
+        assert_eq!(rows.len(), NUM_IMAGES);
+        for (name, found) in rows {
+            let found: Vec<f64> = found.into_iter().flatten().collect();
+            let difference = Vector3::from_column_slice(&found) - in_crs(epsg, &centre(&name));
+            assert!(difference.norm() < PRINTED_M, "{epsg} {name}: {found:?}");
+        }
+    }
+    let places_are_true = |line: &str| {
+        for (name, found) in rows(&format!("{line} --crs epsg:4979"), "lat,lon,alt") {
+            let found: Vec<f64> = found.into_iter().flatten().collect();
+            let [latitude_deg, longitude_deg, height_m] = found[..] else { panic!("{found:?}") };
+            let there = frame.to_local(&Geodetic { latitude_deg, longitude_deg, height_m });
+            assert!((there - centre(&name)).norm() < PRINTED_M, "{name}: {found:?}");
+        }
+    };
+    places_are_true(line);
+    // The centres of the cameras are positions for the next model.
+    fs::copy(dir.join("c.csv"), dir.join("positions.csv")).unwrap();
+    tiepoint_in(dir, "model align {}/a --positions {}/positions.csv --max-error 0.1 -o {}/again")
+        .done();
+    places_are_true(&line.replace("{}/b", "{}/again"));
+    // Without a system they are those of the model.
+    let model = read(dir, "b");
+    let local = rows(line, "x,y,z");
+    for ((_, image, pose), (name, found)) in model.registered().zip(local) {
+        let found: Vec<f64> = found.into_iter().flatten().collect();
+        let difference = Vector3::from_column_slice(&found) - pose.origin_in_a();
+        assert!(image.name == name && difference.norm() < PRINTED_M, "{name}: {found:?}");
+    }
+
+    clouds_are_in_the_system_that_is_asked_for(dir, &in_crs, truth);
+    // Heights that are not known.
+    let file = dir.join("again/tiepoint.json");
+    let mut sidecar: Value = serde_json::from_slice(&fs::read(&file).unwrap()).unwrap();
+    sidecar["georeference"].as_object_mut().unwrap().remove("height_m");
+    fs::write(&file, sidecar.to_string()).unwrap();
+    let line = line.replace("{}/b", "{}/again");
+    let text = tiepoint_in(dir, &format!("{line} --crs EPSG:32760")).done().stdout();
+    assert!(text.contains("height above the model's origin"), "{text}");
+    let rows = rows(&format!("{line} --crs EPSG:4326"), "lat,lon,alt");
+    assert!(rows.iter().all(|(_, found)| found[0].is_some() && found[2].is_none()), "{rows:?}");
+    tiepoint_in(dir, &format!("{line} --crs EPSG:4978")).failed(1, &["takes heights"]);
+}
+
+fn clouds_are_in_the_system_that_is_asked_for(
+    dir: &Path,
+    in_crs: &dyn Fn(u32, &Vector3<f64>) -> Vector3<f64>,
+    truth: &Reconstruction,
+) {
+    let text = tiepoint_in(dir, "export {}/b --to ply -o {}/c.ply --crs EPSG:32760").done();
+    assert!(text.stdout().contains("EPSG:32760 (easting and northing, m; height above the ell"));
+    let bytes = fs::read(dir.join("c.ply")).unwrap();
+    let header = String::from_utf8_lossy(&bytes[..300]).into_owned();
+    assert!(header.contains("property double x") && header.contains("comment EPSG:32760"));
+    let cloud = ply::read(&dir.join("c.ply")).unwrap();
+    assert_eq!(cloud.len(), truth.num_tracks());
+    for (found, (_, track)) in cloud.iter().zip(truth.tracks()) {
+        let difference = found.xyz - in_crs(32760, &track.xyz);
+        assert!(difference.norm() < PRINTED_M, "{}", found.xyz);
+    }
+    // The result of another export is this program's.
+    tiepoint_in(dir, "export {}/b --to ply -o {}/c.ply").done();
+
+    tiepoint_in(dir, "export {}/b --to gpx -o {}/c.gpx --crs EPSG:4326").done();
+    for (command, parts) in [
+        ("export {}/b --to gpx -o {}/d.gpx --crs EPSG:32760", ["gpx is not written in EPSG:32760"]),
+        ("export {}/b --to tum -o {}/d.tum --crs EPSG:4326", ["tum is not written in EPSG:4326"]),
+        ("export {}/a --to ply -o {}/d.ply --crs EPSG:4326", ["--position-priors"]),
+        ("export {}/b --to ply -o {}/d.ply --crs EPSG:32660", ["there, the zone of UTM is EPSG:3"]),
+    ] {
+        tiepoint_in(dir, command).failed(1, &parts);
+    }
+    tiepoint_in(dir, "export {}/b --to ply -o {}/d.ply --crs EPSG:31467")
+        .failed(2, &["EPSG:31467", "EPSG:25828"]);
+    assert!(!dir.join("d.ply").exists());
+}
+
 #[test]
 fn alignment_to_places_on_the_earth_gives_east_north_up() {
-    use tiepoint_pipeline::sfm::geometry::geodesy::{Geodetic, LocalFrame};
     let dir = tempfile::tempdir().unwrap();
     let dir = dir.path();
     let (mut model, transform) = (scene(), similarity());
@@ -238,6 +349,7 @@ fn alignment_to_places_on_the_earth_gives_east_north_up() {
     // Exports do not tell where the model is.
     tiepoint_in(dir, "export {}/b --to colmap -o {}/e").done();
     assert!(!fs::read_to_string(dir.join("e/tiepoint.json")).unwrap().contains("latitude"));
+    exports_are_in_the_system_that_is_asked_for(dir, &frame, &model);
     fs::write(dir.join("p.csv"), text.replace(',', ";")).unwrap();
     tiepoint_in(dir, line).failed(1, &["p.csv: line 1", "must be"]);
     fs::write(dir.join("p.csv"), "image,lat,lon,alt\nleft/0 a.png,139.7,35.6,0\n").unwrap();

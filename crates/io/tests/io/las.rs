@@ -4,6 +4,8 @@
 
 use proptest::prelude::*;
 use tiepoint_geometry::Rng;
+use tiepoint_geometry::crs::Crs;
+use tiepoint_geometry::geodesy::{Geodetic, LocalFrame};
 use tiepoint_geometry::nalgebra::Vector3;
 use tiepoint_io::las;
 use tiepoint_io::ply::Vertex;
@@ -46,6 +48,55 @@ proptest! {
             sizes.push(std::fs::metadata(&path).unwrap().len());
         }
         prop_assert!(count < 1000 || sizes[1] < sizes[0]);
+    }
+}
+
+/// The dense cloud of a site in coordinates of a system, which the file states.
+#[test]
+fn systems_are_stated_and_millimetres_kept() {
+    let dir = tempfile::tempdir().unwrap();
+    let frame = LocalFrame::new(Geodetic {
+        latitude_deg: 48.1374,
+        longitude_deg: 11.5755,
+        height_m: 519.0,
+    });
+    let mut rng = Rng::stream(7, &[]);
+    let local: Vec<Vector3<f64>> =
+        (0..500).map(|_| Vector3::new(rng.normal(), rng.normal(), rng.normal()) * 1000.0).collect();
+    for (epsg, keyword) in
+        [(32632, "COMPD_CS["), (25832, "COMPD_CS["), (4979, "COMPD_CS["), (4978, "GEOCCS[")]
+    {
+        let crs = Crs::from_epsg(epsg).unwrap();
+        let vertex = |local: &Vector3<f64>| Vertex {
+            xyz: crs.project(&frame.to_geodetic(local)),
+            color: [1, 2, 3],
+        };
+        let vertices: Vec<Vertex> = local.iter().map(vertex).collect();
+        let path = dir.path().join("cloud.laz");
+        las::write_in(&path, &vertices, crs, true).unwrap();
+        let reader = ::las::Reader::from_path(&path).unwrap();
+        let header = reader.header();
+        assert!(header.has_wkt_crs());
+        let wkt = String::from_utf8(header.get_wkt_crs_bytes().unwrap().to_vec()).unwrap();
+        assert!(wkt.starts_with(keyword) && wkt.ends_with("]\0"), "{wkt}");
+        let code = if epsg == 4979 { 4326 } else { epsg };
+        assert!(wkt.contains(&format!("AUTHORITY[\"EPSG\",\"{code}\"]]")), "{wkt}");
+        for (found, local) in las::read(&path).unwrap().iter().zip(&local) {
+            let there = match crs {
+                Crs::Geographic { .. } => Geodetic {
+                    longitude_deg: found.xyz.x,
+                    latitude_deg: found.xyz.y,
+                    height_m: found.xyz.z,
+                },
+                Crs::Geocentric => Geodetic::from_ecef(&found.xyz),
+                Crs::Utm { zone, .. } => zone.unproject(&found.xyz),
+            };
+            let difference_m = (frame.to_local(&there) - local).norm();
+            // Half of the resolution in each coordinate.
+            assert!(difference_m < 2.0 * TOLERANCE, "{crs}: {difference_m}");
+        }
+        las::write(&path, &vertices).unwrap();
+        assert!(!::las::Reader::from_path(&path).unwrap().header().has_wkt_crs());
     }
 }
 

@@ -15,15 +15,18 @@ use tiepoint_io::geo_path::{GeoPath, GeoPhoto};
 use tiepoint_io::nerfstudio::{self, Motion};
 use tiepoint_io::timestamps::is_absolute;
 use tiepoint_io::trajectory::{self, TimedPose};
-use tiepoint_io::{geo_path, gltf, gsplat, openmvs, ply};
+use tiepoint_io::{geo_path, gltf, gsplat, openmvs, ply, position_priors};
 use tiepoint_sfm::frame_names::natural_order;
 use tiepoint_sfm::geometry::Rigid3;
+use tiepoint_sfm::geometry::crs::Crs;
 use tiepoint_sfm::geometry::geodesy::Geodetic;
-use tiepoint_sfm::scene::{Georeference, Image, ImageId, Reconstruction};
+use tiepoint_sfm::geometry::nalgebra::Vector3;
+use tiepoint_sfm::scene::{Georeference, Image, ImageId, Place, Reconstruction};
 use tiepoint_store::disk::{self, FileId};
 use tiepoint_store::{AtomicFile, Error as StoreError, Mark, OutputFolder, Replace, write_file};
 
 use crate::Error;
+use crate::models::in_crs::InCrs;
 use crate::models::rigid::{RigidReport, rigid_model};
 use crate::models::{kalibr, rolling_shutter};
 use crate::workspace::file_marks::{COMMENT, COMMENT_MARK, GLTF_MARK, LAS_MARK, PLY_MARK};
@@ -69,11 +72,13 @@ pub enum ExportFormat {
     GeoJson,
     /// The same as a track.
     Gpx,
+    /// The centres of the cameras by the names of their images.
+    Csv,
 }
 
 impl ExportFormat {
     /// All formats.
-    pub const ALL: [Self; 15] = [
+    pub const ALL: [Self; 16] = [
         Self::Colmap,
         Self::OpenMvs,
         Self::Nerfstudio,
@@ -89,6 +94,7 @@ impl ExportFormat {
         Self::Kalibr,
         Self::GeoJson,
         Self::Gpx,
+        Self::Csv,
     ];
 
     /// Its name.
@@ -109,6 +115,7 @@ impl ExportFormat {
             Self::Kalibr => "kalibr",
             Self::GeoJson => "geojson",
             Self::Gpx => "gpx",
+            Self::Csv => "csv",
         }
     }
 }
@@ -125,6 +132,9 @@ pub struct Exported {
     pub points: usize,
     /// Number of photos that were in their places already and were not copied.
     pub photos_in_place: usize,
+    /// The system of the coordinates and what they are, in words, with [`ExportSource::crs`].
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub crs: Option<String>,
     /// The effect of exact rig extrinsics, with [`export_rigid`].
     pub rigid: Option<RigidReport>,
 }
@@ -137,6 +147,8 @@ pub struct ExportSource<'a> {
     /// The folder that the names of the model's images begin in; `None`: the photos are the inputs
     /// of the workspace that the model is in.
     pub images: Option<&'a Path>,
+    /// The system that coordinates are written in; `None`: the frame of the model.
+    pub crs: Option<Crs>,
     /// Replaces a file at the place of the result, whoever made it. Files in folders stay.
     pub overwrite: bool,
 }
@@ -218,6 +230,7 @@ fn write_as(
     let folder = || located.folder().to_owned();
     let (mut poses, mut points, mut in_place) = (model.num_registered(), model.num_tracks(), 0);
     let inputs = protected(from);
+    let in_crs = in_crs(from, format)?;
     let file = |mark, write: &dyn Fn(&Path) -> Result<(), Error>| {
         let replace = Replace::new(mark, from.overwrite);
         write_file(to, inputs.iter().map(PathBuf::as_path), replace, write)
@@ -248,31 +261,19 @@ fn write_as(
             (poses, points) = (cameras, 0);
         }
         ExportFormat::Ply => {
-            file(Some(PLY_MARK), &|to| Ok(ply::write(to, &ply::points(model))?))?;
+            file(Some(PLY_MARK), &|to| write_ply(model, in_crs.as_ref(), to))?;
             poses = 0;
         }
         ExportFormat::Las => {
             let cloud = dense.ok_or_else(|| Error::NoDenseCloud { path: folder() })?;
             let inputs = inputs.iter().map(PathBuf::as_path).chain([cloud]);
             write_file(to, inputs, Replace::new(Some(LAS_MARK), from.overwrite), |to| {
-                points = write_las(cloud, to)?;
+                points = write_las(cloud, in_crs.as_ref(), to)?;
                 Ok::<_, Error>(())
             })?;
             poses = 0;
         }
-        ExportFormat::Gltf => {
-            if to.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("gltf")) {
-                return Err(Error::BinaryGltf { path: to.to_owned() });
-            }
-            let (sparse, dense_points) = (ply::points(model), dense.map(ply::read).transpose()?);
-            let mut clouds = vec![("points", sparse.as_slice())];
-            clouds.extend(dense_points.iter().map(|points| ("dense", points.as_slice())));
-            let inputs = inputs.iter().map(PathBuf::as_path).chain(dense);
-            write_file(to, inputs, Replace::new(Some(GLTF_MARK), from.overwrite), |to| {
-                points = gltf::write(to, model, &clouds)?;
-                Ok::<_, Error>(())
-            })?;
-        }
+        ExportFormat::Gltf => points = write_gltf(from, dense, &inputs, to)?,
         ExportFormat::Kitti => {
             let images = trajectory_of(model);
             let names: Vec<&str> = images.iter().map(|(image, _)| image.name.as_str()).collect();
@@ -288,13 +289,81 @@ fn write_as(
             file(Some(mark), &*write)?;
             points = 0;
         }
+        ExportFormat::Csv => {
+            file(None, &|to| write_centres(model, in_crs.as_ref(), to))?;
+            points = 0;
+        }
         ExportFormat::Tum => {
             let timed = timed_trajectory_of(located)?;
             file(Some(COMMENT_MARK), &|to| Ok(trajectory::write_tum(to, &timed)?))?;
             (poses, points) = (timed.len(), 0);
         }
     }
-    Ok(Exported { path: to.to_owned(), poses, points, photos_in_place: in_place, rigid: None })
+    let crs = in_crs.map(|to_crs| to_crs.crs.in_words(to_crs.has_heights));
+    Ok(Exported { path: to.to_owned(), poses, points, photos_in_place: in_place, crs, rigid: None })
+}
+
+/// Writes the points and cameras as binary glTF, and the dense cloud if there is one. Returns the
+/// number of points.
+fn write_gltf(
+    from: &ExportSource,
+    dense: Option<&Path>,
+    inputs: &[PathBuf],
+    to: &Path,
+) -> Result<usize, Error> {
+    if to.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("gltf")) {
+        return Err(Error::BinaryGltf { path: to.to_owned() });
+    }
+    let model = &from.model.reconstruction;
+    let (sparse, dense_points) = (ply::points(model), dense.map(ply::read).transpose()?);
+    let mut clouds = vec![("points", sparse.as_slice())];
+    clouds.extend(dense_points.iter().map(|points| ("dense", points.as_slice())));
+    let inputs = inputs.iter().map(PathBuf::as_path).chain(dense);
+    let mut points = 0;
+    write_file(to, inputs, Replace::new(Some(GLTF_MARK), from.overwrite), |to| {
+        points = gltf::write(to, model, &clouds)?;
+        Ok::<_, Error>(())
+    })?;
+    Ok(points)
+}
+
+/// Writes the points of a model.
+fn write_ply(model: &Reconstruction, in_crs: Option<&InCrs>, to: &Path) -> Result<(), Error> {
+    let points = ply::points(model);
+    match in_crs {
+        Some(in_crs) => {
+            let points = in_crs.vertices(points)?;
+            ply::write_in(to, &points, in_crs.crs, in_crs.has_heights)?;
+        }
+        None => ply::write(to, &points)?,
+    }
+    Ok(())
+}
+
+/// Writes the centres of the cameras by the names of their images.
+fn write_centres(model: &Reconstruction, in_crs: Option<&InCrs>, to: &Path) -> Result<(), Error> {
+    let place = |local: Vector3<f64>| match in_crs {
+        Some(in_crs) => in_crs.coordinates(&local),
+        None => Ok(Place::Cartesian(local)),
+    };
+    let centres = model
+        .registered()
+        .map(|(_, image, pose)| Ok((image.name.as_str(), place(pose.origin_in_a())?)));
+    Ok(position_priors::write(to, &centres.collect::<Result<Vec<_>, Error>>()?)?)
+}
+
+/// The system of the coordinates, if the format can be written in it.
+fn in_crs<'a>(from: &ExportSource<'a>, format: ExportFormat) -> Result<Option<InCrs<'a>>, Error> {
+    let Some(crs) = from.crs else { return Ok(None) };
+    let is_written = match format {
+        ExportFormat::Ply | ExportFormat::Las | ExportFormat::Csv => true,
+        ExportFormat::GeoJson | ExportFormat::Gpx => matches!(crs, Crs::Geographic { .. }),
+        _ => false,
+    };
+    match is_written {
+        true => InCrs::new(from.model, crs).map(Some),
+        false => Err(Error::NotInCrs { format: format.name(), crs }),
+    }
 }
 
 /// The poses of [`trajectory_of`] that have a time, in order of time.
@@ -369,14 +438,23 @@ fn camchain(located: &LocatedModel) -> Result<(String, usize), Error> {
 
 /// Writes a cloud as LAS or LAZ. Returns the number of points.
 #[cfg(feature = "las")]
-fn write_las(cloud: &Path, to: &Path) -> Result<usize, Error> {
+fn write_las(cloud: &Path, in_crs: Option<&InCrs>, to: &Path) -> Result<usize, Error> {
     let vertices = ply::read(cloud)?;
-    tiepoint_io::las::write(to, &vertices)?;
-    Ok(vertices.len())
+    let points = vertices.len();
+    match in_crs {
+        Some(to_crs) => tiepoint_io::las::write_in(
+            to,
+            &to_crs.vertices(vertices)?,
+            to_crs.crs,
+            to_crs.has_heights,
+        )?,
+        None => tiepoint_io::las::write(to, &vertices)?,
+    }
+    Ok(points)
 }
 
 #[cfg(not(feature = "las"))]
-fn write_las(_: &Path, to: &Path) -> Result<usize, Error> {
+fn write_las(_: &Path, _: Option<&InCrs>, to: &Path) -> Result<usize, Error> {
     Err(Error::NoLasWriter { path: to.to_owned() })
 }
 

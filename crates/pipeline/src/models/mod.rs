@@ -2,6 +2,7 @@
 
 pub(crate) mod adjust;
 pub(crate) mod export;
+mod in_crs;
 pub(crate) mod kalibr;
 pub(crate) mod localize;
 pub(crate) mod model_tools;

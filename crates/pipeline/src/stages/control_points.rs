@@ -391,6 +391,7 @@ fn sentences(model: &str, report: &ControlReport) -> Vec<String> {
         let (count, errors) = (check.points, errors_in_words(check));
         sentences.push(format!("{count} check points of {model}: errors {errors}"));
     }
+    sentences.extend(undetermined_in_words(model, report));
     sentences.extend(detectable_in_words(report));
     for point in &report.points {
         let name = &point.name;
@@ -412,6 +413,23 @@ fn sentences(model: &str, report: &ControlReport) -> Vec<String> {
         }
     }
     sentences
+}
+
+/// Which points their marks do not determine; `None` if there are none.
+fn undetermined_in_words(model: &str, report: &ControlReport) -> Option<String> {
+    let named = |point: &ControlPointReport| {
+        let marks = if point.marks == 1 { "mark" } else { "marks" };
+        format!("{} ({} {marks})", point.name, point.marks)
+    };
+    let points = report.points.iter().filter(|point| point.error_m.is_none());
+    let points: Vec<String> = points.map(named).collect();
+    (!points.is_empty()).then(|| {
+        format!(
+            "not used, since it takes two marks that agree, in images of {model} and in different \
+             directions: {}",
+            points.join(", ")
+        )
+    })
 }
 
 /// Which errors of control points go unnoticed; `None` where none is tested.

@@ -63,6 +63,7 @@ fn photos_become_a_model_in_the_frame_of_control_points() {
     let text = tiepoint_in(dir, line).done().stdout();
     assert!(text.contains("in the frame of the control points"), "{text}");
     assert!(text.contains("may go unnoticed"), "{text}");
+    assert!(text.contains("in different directions: lone (1 mark)\n"), "{text}");
     let found = report(dir);
     let points = found["points"].as_array().unwrap();
     assert!(points.iter().all(|point| point["is_wrong"] == false), "{found}");
