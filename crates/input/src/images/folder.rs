@@ -3,7 +3,6 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::ffi::{OsStr, OsString};
 use std::fs;
-use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
 
@@ -939,13 +938,7 @@ pub fn is_unread_image(path: &Path) -> bool {
 
 /// Refuses an input that is a file: videos were taken out of the inputs.
 fn require_folder(input: &Path) -> Result<()> {
-    let found = match fs::metadata(input) {
-        Err(error) if error.kind() == io::ErrorKind::NotFound => {
-            return Err(Error::content(input, "there is no such file or folder"));
-        }
-        Err(_) => return Ok(()),
-        Ok(found) => found,
-    };
+    let Ok(found) = fs::metadata(input) else { return Ok(()) };
     if found.is_dir() {
         return Ok(());
     }
