@@ -328,7 +328,8 @@ pub(crate) struct Input {
     ///
     /// A folder of photos, a folder with one sub-folder of photos per camera of a rig, or videos
     /// (one camera each; the program ffmpeg reads them).
-    #[arg(required_unless_present = "database", value_name = "INPUT")]
+    // Arguments without a name come last in a heading, unless they have an order.
+    #[arg(required_unless_present = "database", value_name = "INPUT", display_order = 0)]
     pub(crate) inputs: Vec<PathBuf>,
     /// Takes the features and matches of a COLMAP database.
     ///
@@ -338,6 +339,7 @@ pub(crate) struct Input {
     /// relative to, for colours.
     #[arg(
         long,
+        display_order = 1,
         value_name = "FILE",
         conflicts_with_all = ["masks", "timestamps", "calibration", "intrinsics", "focal_prior",
                               "camera_model", "cameras", "every", "max_megapixels"]

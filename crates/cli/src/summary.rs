@@ -117,7 +117,7 @@ fn stages(report: &Report) -> String {
         let _ = writeln!(text, "{}", printable(&arguments.to_string()));
     };
     if let Some(features) = &report.stages.features {
-        let skipped = match features.skipped.len() {
+        let skipped = match features.num_skipped() {
             0 => String::new(),
             count => format!(", {count} skipped"),
         };
@@ -228,7 +228,8 @@ fn stages(report: &Report) -> String {
         let model = report.models.first().filter(|_| !map.unregistered.is_empty());
         if let Some(ModelReport { path, images, .. }) = model {
             let count = map.unregistered.len();
-            line(format_args!("missing   {count} of {images} images have no pose in {path}:"));
+            let have = if count == 1 { "has" } else { "have" };
+            line(format_args!("missing   {count} of {images} images {have} no pose in {path}:"));
             for reason in why_unregistered(&map.unregistered) {
                 line(format_args!("          {reason}"));
             }
@@ -356,12 +357,8 @@ fn camera_extrinsics(camera: &RigCamera) -> String {
             format!("time offset unobservable, fixed at {offset_ms:+.2} ms")
         }
         (RigClockState::Synchronised, _) => {
-            format!("synchronised, time offset {offset_ms:+.2} ms")
+            format!("synchronised after a time offset of {offset_ms:+.2} ms")
         }
-    };
-    let frames = match camera.constraint {
-        ConstraintKind::Rigid => "",
-        ConstraintKind::Soft => ", not rigid frames",
     };
     let unobservable = camera.unobservable.map_or(String::new(), |[x, y, z]| {
         format!(
@@ -369,7 +366,7 @@ fn camera_extrinsics(camera: &RigCamera) -> String {
             {z:.2}) is unobservable from the motion"
         )
     });
-    format!("{name} at ({x:.4}, {y:.4}, {z:.4}) {uncertainty}; {time}{frames}{unobservable}")
+    format!("{name} at ({x:.4}, {y:.4}, {z:.4}) {uncertainty}; {time}{unobservable}")
 }
 
 /// The first [`MAX_NAMES`] names, and the number of the others.

@@ -34,10 +34,15 @@ pub enum Error {
         video: PathBuf,
     },
     /// Two videos have the same name, which would make them one camera.
-    #[error("two videos are called {name}: rename one, each video is one camera")]
+    #[error("{}: each video is one camera", match first == other {
+        true => format!("{} is given twice", first.display()),
+        false => format!("{} and {} have one name, rename one", first.display(), other.display()),
+    })]
     TwoVideosOfOneName {
-        /// Name without folder and extension.
-        name: String,
+        /// The first of the two.
+        first: PathBuf,
+        /// The other one.
+        other: PathBuf,
     },
     /// Photos that are asked to share a camera have different sizes.
     #[error(

@@ -7,7 +7,7 @@ use tiepoint_scene as scene;
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
     /// The operating system reports an error.
-    #[error("{path}: {cause}")]
+    #[error("{path}: {}", tiepoint_store::of_system(cause))]
     Io {
         /// The file or folder.
         path: PathBuf,

@@ -133,6 +133,23 @@ fn relative_pose_is_constant_at_the_times_of_the_clock() {
     assert_eq!(evaluate_rig(&model, Some(&rig), 1.0)[0].frames, at_clock.frames - 1);
 }
 
+/// A camera that is held upright for some photos is two cameras of one stream, and no rig. Without
+/// times, images are paired by the numbers in their names, and that is said.
+#[test]
+fn cameras_of_one_stream_are_no_rig() {
+    let mut model = drive("none").truth();
+    let images: Vec<ImageId> = model.images().map(|(id, _)| id).collect();
+    for id in images.iter().copied() {
+        model.set_time(id, None);
+    }
+    let rigs = evaluate_rig(&model, None, 1.0);
+    assert_eq!((rigs.len(), rigs[0].has_times), (1, false));
+    for id in images {
+        model.set_stream(id, "phone".into());
+    }
+    assert_eq!(evaluate_rig(&model, None, 1.0).len(), 0);
+}
+
 #[test]
 fn icp_aligns_a_moved_cloud_to_its_scan() {
     let drive = drive("none");

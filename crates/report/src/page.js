@@ -129,15 +129,16 @@ function plotsOf(model) {
     histogram(model.track_lengths, 'images', true),
   );
   for (const rig of model.rigs) {
+    const [what, unit] = rig.has_times ? ['time', 's'] : ['number', 'image number'];
     add(
-      `Distance ${rig.cameras[0]} – ${rig.cameras[1]} over time (${model.unit}), ` +
-        (rig.has_clock ? 'at the times of the clock' : 'images nearest in time'),
-      lines([rig.times_s], [rig.baselines], 's'),
+      `Distance ${rig.cameras[0]} – ${rig.cameras[1]} over ${what} (${model.unit}), ` +
+        (rig.has_clock ? 'at the times of the clock' : `images nearest in ${what}`),
+      lines([rig.times_s], [rig.baselines], unit),
     );
     const times = rig.rotations_deg.map(() => rig.times_s);
     add(
       'Deviation of the relative rotation from its mean (degrees; x blue, y red, z green)',
-      lines(times, rig.rotations_deg, 's'),
+      lines(times, rig.rotations_deg, unit),
     );
   }
   add(

@@ -16,6 +16,7 @@ use tiepoint_pipeline::eval::geometry::nalgebra::{Vector2, Vector3};
 use tiepoint_pipeline::eval::geometry::numeric::median;
 use tiepoint_pipeline::eval::geometry::{Rigid3, Sim3, so3};
 use tiepoint_pipeline::evaluation::evaluate_rig;
+use tiepoint_pipeline::input::SkippedImage;
 use tiepoint_pipeline::sfm::scene::{CameraId, ImageId, Reconstruction};
 use tiepoint_pipeline::workspace::{
     LocatedModel, ModelReport, REPORT, RIG, RigFile, UnregisteredImage, verdict,
@@ -204,6 +205,8 @@ struct Matrix {
 struct RigSeries {
     cameras: [String; 2],
     has_clock: bool,
+    /// Whether `times_s` are times, and not numbers of images.
+    has_times: bool,
     times_s: Vec<f64>,
     baselines: Vec<f64>,
     rotations_deg: [Vec<f64>; 3],
@@ -360,6 +363,11 @@ pub fn view(
     if let Some(tables) = missing.as_ref().filter(|[table]| !table.rows.is_empty()) {
         sections.push(ReportSection { tables, ..ReportSection::default() });
     }
+    let features = report.as_ref().and_then(|report| report.stages.features.as_ref());
+    let left_out = features.map(|features| [left_out(&features.skipped)]);
+    if let Some(tables) = left_out.as_ref().filter(|[table]| !table.rows.is_empty()) {
+        sections.push(ReportSection { tables, ..ReportSection::default() });
+    }
     let html = report_html(&format!("tiepoint: {name}"), &sections, texts(path));
     let file = path.join(PAGE);
     write_page(&file, &html)?;
@@ -394,6 +402,12 @@ fn note(sentences: &[String]) -> String {
 fn missing(images: &[UnregisteredImage]) -> Table {
     let rows = images.iter().map(|image| (image.image.clone(), vec![image.why()])).collect();
     Table { caption: "Images without a pose in sparse/0".to_owned(), head: Vec::new(), rows }
+}
+
+/// The files of the input that no image was made of, each with its reason.
+fn left_out(skipped: &[SkippedImage]) -> Table {
+    let rows = skipped.iter().map(|file| (file.image.clone(), vec![file.reason.clone()])).collect();
+    Table { caption: "Files of the input that were left out".to_owned(), head: Vec::new(), rows }
 }
 
 /// The facts of a model, and its rig.
@@ -669,6 +683,7 @@ fn rigs(model: &Reconstruction, rig: Option<&RigFile>, scale: f64) -> Vec<RigSer
             rotations_deg: [rotations(0), rotations(1), rotations(2)],
             cameras: rig.cameras,
             has_clock: rig.has_clock,
+            has_times: rig.has_times,
         }
     };
     evaluate_rig(model, rig, scale).into_iter().map(series).collect()

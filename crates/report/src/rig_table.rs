@@ -20,10 +20,8 @@ pub(super) fn rig_table(
         if let Some(extrinsics) = extrinsics {
             let chosen = extrinsics.chosen.map_or("off", name_of);
             row("chosen", format!("{chosen}: {}", extrinsics.reason));
-            if let Some(sd) = extrinsics.held_out_change_sd {
-                let change = extrinsics.held_out_error_px / extrinsics.held_out_error_off_px - 1.0;
-                let (change, sd) = (100.0 * change, 100.0 * sd);
-                row("error of held-out tracks", format!("{change:+.1} ± {sd:.1} %"));
+            if let Some(change) = extrinsics.held_out_change() {
+                row("error of held-out tracks", change);
             }
             for camera in cameras {
                 let sigmas = camera.sigma_translation.zip(camera.sigma_rotation_deg);
@@ -78,7 +76,7 @@ fn of_clock(clock: &RigClock) -> String {
     let ms = 1e3 * clock.offset_s;
     let sd = clock.offset_sd_s.map_or(String::new(), |sd_s| format!(" ± {:.2}", 1e3 * sd_s));
     match clock.state {
-        RigClockState::Synchronised => format!("synchronised, offset {ms:+.2} ms"),
+        RigClockState::Synchronised => format!("synchronised after an offset of {ms:+.2} ms"),
         RigClockState::Estimated => format!(
             "offset {ms:+.2}{sd} ms, skew {:+.0}{} ppm",
             clock.drift_ppm,
@@ -98,9 +96,10 @@ pub(super) fn relative_poses(pairs: &[RigEvaluation], unit: &str) -> Option<Tabl
         let mut row = |name: &str, value: String| {
             rows.push((format!("{name} {between}"), vec![value]));
         };
-        let how = match pair.has_clock {
-            true => "at the times of the clock",
-            false => "images nearest in time, clocks not compared",
+        let how = match (pair.has_clock, pair.has_times) {
+            (true, _) => "at the times of the clock",
+            (false, true) => "images nearest in time, clocks not compared",
+            (false, false) => "images of the same or the nearest number",
         };
         row("frames", format!("{} ({how})", pair.frames));
         row("distance", format!("{:.4} ± {:.4} {unit}", pair.baseline.mean, pair.baseline.std));

@@ -208,26 +208,29 @@ const AXES = [
   ['up', '#fff'],
 ];
 function axes(directions) {
-  const svg = element('svg', { class: 'axes', viewBox: '-36 -36 72 72', 'aria-hidden': true });
+  const svg = element('svg', { class: 'axes', viewBox: '-44 -44 88 88', 'aria-hidden': true });
   const ends = AXES.map(([name, stroke], k) => {
     const dashed = name === 'up' ? { 'stroke-dasharray': '3 2' } : {};
     const line = element('line', { x1: 0, y1: 0, stroke, ...dashed });
     const text = element('text', { 'text-anchor': 'middle' }, name);
     svg.append(line, text);
     const direction = new THREE.Vector3(...(directions[k] || [0, 0, 1]));
-    return { line, text, direction };
+    return { line, text, direction, isUp: name === 'up' };
   });
   return { svg, ends };
 }
 function drawAxes({ axes: { ends }, section: { camera } }) {
   const seen = new THREE.Vector3();
-  for (const { line, text, direction } of ends) {
+  for (const { line, text, direction, isUp } of ends) {
     seen.copy(direction).transformDirection(camera.matrixWorldInverse);
     const [x, y] = [seen.x, -seen.y];
     line.setAttribute('x2', (22 * x).toFixed(1));
     line.setAttribute('y2', (22 * y).toFixed(1));
-    text.setAttribute('x', (29 * x).toFixed(1));
-    text.setAttribute('y', (29 * y + 4).toFixed(1));
+    // Up is often an axis of the model: its name is further out, and none where it points at us.
+    const [radius, least] = isUp ? [40, 0.3] : [29, 0];
+    text.setAttribute('x', (radius * x).toFixed(1));
+    text.setAttribute('y', (radius * y + 4).toFixed(1));
+    text.style.display = Math.hypot(x, y) < least ? 'none' : '';
   }
 }
 // A length of 1, 2 or 5 times a power of ten at the centre of the view, up to 110 pixels.

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
     /// The operating system reports an error.
-    #[error("{path}: {cause}")]
+    #[error("{path}: {}", of_system(cause))]
     Io {
         /// The file or folder.
         path: PathBuf,
@@ -22,7 +22,7 @@ pub enum Error {
         what: String,
     },
     /// A file or folder cannot be written.
-    #[error("cannot write {path}: {cause}; choose a folder that can be written")]
+    #[error("cannot write {path}: {}; choose a folder that can be written", of_system(cause))]
     Output {
         /// The file or folder.
         path: PathBuf,
@@ -30,7 +30,7 @@ pub enum Error {
         cause: io::Error,
     },
     /// An existing file or folder cannot be read.
-    #[error("cannot read {path}: {cause}")]
+    #[error("cannot read {path}: {}", of_system(cause))]
     Unreadable {
         /// The file or folder.
         path: PathBuf,
@@ -73,8 +73,9 @@ pub enum Error {
     },
     /// The results of a run are committed, and moving them into their places failed.
     #[error(
-        "the results are complete, but not all of them could be moved into {path}: {cause}; give \
-        the same command again when the cause is gone"
+        "the results are complete, but not all of them could be moved into {path}: {}; give \
+        the same command again when the cause is gone",
+        of_system(cause)
     )]
     NotInPlace {
         /// The folder.
@@ -119,6 +120,15 @@ pub enum Error {
     },
 }
 
+/// The words of an error of the operating system, without its number.
+pub fn of_system(cause: &io::Error) -> String {
+    let mut text = cause.to_string();
+    if let (Some(_), Some(end)) = (cause.raw_os_error(), text.rfind(" (os error ")) {
+        text.truncate(end);
+    }
+    text
+}
+
 /// A result with this crate's [`enum@Error`].
 pub type Result<T, E = Error> = std::result::Result<T, E>;
 
@@ -141,5 +151,21 @@ impl Error {
     pub fn unreadable(path: &Path) -> impl FnOnce(io::Error) -> Self + use<> {
         let path = path.to_owned();
         move |cause| Self::Unreadable { path, cause }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_error_of_the_system_has_words_and_no_number() {
+        let path = Path::new("no/such/file");
+        let error = Error::unreadable(path)(std::fs::read(path).unwrap_err()).to_string();
+        assert!(error.starts_with("cannot read no/such/file: ") && error.len() > 26, "{error}");
+        assert!(!error.contains("os error"), "{error}");
+        // What we say ourselves stays.
+        let own = io::Error::other("a (os error 2) of ours");
+        assert_eq!(of_system(&own), "a (os error 2) of ours");
     }
 }

@@ -11,7 +11,7 @@ mod regular_file;
 mod run_state;
 
 pub use atomic::AtomicFile;
-pub use error::{Error, Result};
+pub use error::{Error, Result, of_system};
 pub use hashed_file::{HashedFile, open_hashed, open_unchecked};
 pub use manifest::{MANIFEST, Manifest, is_inside, manifest_files};
 pub use named_file::{Mark, Replace, may_be_replaced, write_file};

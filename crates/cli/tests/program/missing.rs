@@ -21,8 +21,12 @@ fn a_photo_of_another_place_is_named_with_its_reason() {
         photo(index, ROOM).save(folder.join(format!("{index}.png"))).unwrap();
     }
     photo(0, OTHER_ROOM).save(folder.join("other.png")).unwrap();
+    // What cannot be read is no image, and is told, too: two photos of one kind in one sentence.
+    for name in ["7.heic", "8.heic", "cut.jpg"] {
+        fs::write(folder.join(name), b"\xff\xd8\xff\xe0").unwrap();
+    }
     let text = tiepoint_in(dir.path(), "reconstruct {}/photos -o {}/w").done().stdout();
-    for part in ["missing   1 of 6 images have no pose in sparse/0", "1 without a verified pair"] {
+    for part in ["missing   1 of 6 images has no pose in sparse/0", "1 without a verified pair"] {
         assert!(text.contains(part), "{text}");
     }
     let report: Value =
@@ -33,12 +37,23 @@ fn a_photo_of_another_place_is_named_with_its_reason() {
     );
     tiepoint_in(dir.path(), "view {}/w").done();
     let page = fs::read_to_string(dir.path().join("w/report.html")).unwrap();
-    for part in
-        ["Images without a pose", "other.png", "without a verified pair", "Incomplete: 5 of 6"]
-    {
+    for part in [
+        "Images without a pose",
+        "other.png",
+        "without a verified pair",
+        "Incomplete: 5 of 6",
+        "3 files of the input were left out",
+        "Files of the input that were left out",
+        "cut.jpg: ",
+    ] {
         assert!(page.contains(part), "{part}");
     }
-    for part in ["result    incomplete: 5 of 6 images", "next      tiepoint view"] {
+    for part in [
+        "result    incomplete: 5 of 6 images",
+        "next      tiepoint view",
+        "3 skipped",
+        "3 files of the input were left out, first ",
+    ] {
         assert!(text.contains(part), "{text}");
     }
 }

@@ -23,6 +23,13 @@ pub struct SkippedImage {
     pub image: String,
     /// The reason.
     pub reason: String,
+    /// Number of further files that the reason holds for, and names.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub others: usize,
+}
+
+fn is_zero(number: &usize) -> bool {
+    *number == 0
 }
 
 /// The files of the input photos; their contents are not read yet.
@@ -88,7 +95,8 @@ impl Photos {
     /// [`Error::TooFewPhotos`] with the reasons why the others are skipped.
     pub fn too_few(&self, usable: usize, skipped: Vec<String>) -> Error {
         let path = self.inputs.first().cloned().unwrap_or_default();
-        let found = self.folder.images().len() + self.folder.skipped().len();
+        let others: usize = self.folder.skipped().iter().map(|file| 1 + file.others).sum();
+        let found = self.folder.images().len() + others;
         Error::TooFewPhotos { path, found, usable, skipped }
     }
 
@@ -212,7 +220,11 @@ impl Photos {
         let mut photos = Vec::<Photo>::new();
         let files = self.folder.skipped().iter();
         let mut skipped: Vec<SkippedImage> = files
-            .map(|file| SkippedImage { image: file.name.clone(), reason: file.reason.clone() })
+            .map(|file| SkippedImage {
+                image: file.name.clone(),
+                reason: file.reason.clone(),
+                others: file.others,
+            })
             .collect();
         let folders = images.iter().map(|image| image.camera.index());
         let readable = folders
@@ -228,6 +240,7 @@ impl Photos {
                     skipped.push(SkippedImage {
                         image: image.name.clone(),
                         reason: error.to_string(),
+                        others: 0,
                     });
                     continue;
                 }

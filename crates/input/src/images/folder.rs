@@ -811,6 +811,7 @@ impl Listing {
         });
         parts.sort();
         let Some((first, others)) = parts.split_first() else { return };
+        let num_others = others.len();
         let shown = |part: &OsString| escaped(Path::new(part));
         let mut named: Vec<String> = others.iter().take(MAX_UNREAD_NAMES).map(shown).collect();
         match others.len() - named.len() {
@@ -826,13 +827,22 @@ impl Listing {
         let to = escaped(&Path::new(first).with_extension(kind.to));
         let remedy = kind.remedy.replace("{from}", &shown(first)).replace("{to}", &to);
         let what = format!("is {}{others}, and these are not read: {remedy}", kind.what);
-        self.skip(&folder.join(first), within, &what);
+        self.skip_several(&folder.join(first), within, &what, num_others);
     }
 
     fn skip(&mut self, path: &Path, within: &str, what: &str) {
+        self.skip_several(path, within, what, 0);
+    }
+
+    /// Skips a file, and `others` beside it for the same reason.
+    fn skip_several(&mut self, path: &Path, within: &str, what: &str, others: usize) {
         let part = path.file_name().map_or_else(String::new, |part| escaped(Path::new(part)));
         let name = format!("{}{within}{part}", self.prefix);
-        self.skipped.push(SkippedFile { name, reason: format!("{}: {what}", escaped(path)) });
+        self.skipped.push(SkippedFile {
+            name,
+            reason: format!("{}: {what}", escaped(path)),
+            others,
+        });
     }
 
     /// Passes over the folders of images that were made from the photos beside them.
@@ -873,7 +883,7 @@ impl Listing {
         match self.skipped.iter().min() {
             None => format!("holds no images (files named .{endings})"),
             Some(SkippedFile { reason, .. }) => {
-                let count = self.skipped.len();
+                let count: usize = self.skipped.iter().map(|file| 1 + file.others).sum();
                 format!(
                     "holds no images (files named .{endings}) that can be used; {count} skipped, \
                     first {reason}"

@@ -36,7 +36,7 @@ impl<'a> Masks<'a> {
             if let (Some(kind), false) = (irregular_kind(&metadata), metadata.is_dir()) {
                 let shown = escaped(path);
                 let reason = format!("{shown}: is {kind} and no regular file, so it masks nothing");
-                skipped.push(SkippedFile { name: shown, reason });
+                skipped.push(SkippedFile { name: shown, reason, others: 0 });
             }
             metadata.is_file()
         });

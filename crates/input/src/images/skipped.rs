@@ -6,4 +6,6 @@ pub struct SkippedFile {
     pub name: String,
     /// The reason: a sentence that begins with the path.
     pub reason: String,
+    /// Number of further files beside it that the reason holds for.
+    pub others: usize,
 }

@@ -220,7 +220,7 @@ fn photos_of_telephones_are_named_with_what_to_do() {
     let expected = "is a HEIC photo, as is 3.heif, and these are not read: \
     convert them to JPEG, as with \
                     `heif-convert 2.HEIC 2.jpg`";
-    assert_eq!(skipped.name, "2.HEIC");
+    assert_eq!((skipped.name.as_str(), skipped.others), ("2.HEIC", 1));
     assert!(skipped.reason.ends_with(expected), "{}", skipped.reason);
     // Nothing else there: the error says so, too.
     for name in ["1.jpg", "4.jpg"] {
@@ -228,4 +228,5 @@ fn photos_of_telephones_are_named_with_what_to_do() {
     }
     let error = ImageFolder::open(&[dir.path().to_owned()], None).unwrap_err().to_string();
     assert!(error.contains("is a HEIC photo, as are 3.heif and 4.heic"), "{error}");
+    assert!(error.contains("3 skipped"), "{error}");
 }

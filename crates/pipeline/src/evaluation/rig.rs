@@ -6,7 +6,7 @@ use serde::Serialize;
 use tiepoint_eval::geometry::Rigid3;
 use tiepoint_eval::{PosePair, RelativePoseSeries, Statistics, associate, relative_pose_series};
 use tiepoint_input::sequences::number;
-use tiepoint_sfm::rigs::{ReferencedImage, SensorPair};
+use tiepoint_sfm::rigs::{ReferencedImage, SensorPair, rig_candidates};
 use tiepoint_sfm::scene::{CameraId, Image, Reconstruction};
 
 use crate::evaluation::poses::ErrorStatistics;
@@ -39,6 +39,9 @@ pub struct RigEvaluation {
     pub translation_drift: f64,
     /// Angle of the change of the rotation over the drive, from a linear fit, in degrees.
     pub rotation_drift_deg: f64,
+    /// Whether `times_s` are times.
+    #[serde(skip)]
+    pub has_times: bool,
     /// Times of the frames, in seconds; image numbers where images have no times.
     #[serde(skip)]
     pub times_s: Vec<f64>,
@@ -47,7 +50,8 @@ pub struct RigEvaluation {
     pub series: RelativePoseSeries,
 }
 
-/// Evaluates every pair of cameras whose images are related in time; empty for a single camera.
+/// Evaluates every pair of cameras that may be on a rig ([`rig_candidates`]) and whose images are
+/// related in time; empty for a single camera, also one that was turned or zoomed.
 /// Lengths are multiplied by `scale`: 1 keeps units of the model,
 /// [`crate::evaluation::PoseEvaluation::scale`] gives those of the ground truth.
 ///
@@ -62,9 +66,11 @@ pub fn evaluate_rig(
     let time_of = |image: &Image| {
         if has_times { image.time_s } else { number(&image.name).map(|number| number as f64) }
     };
+    let candidates = rig_candidates(model);
     let mut poses: BTreeMap<CameraId, Vec<(f64, Rigid3)>> = BTreeMap::new();
     for (_, image, pose) in model.registered() {
-        if let Some(time_s) = time_of(image) {
+        let is_candidate = candidates.contains_key(&image.camera);
+        if let Some(time_s) = time_of(image).filter(|_| is_candidate) {
             poses.entry(image.camera).or_default().push((time_s, *pose));
         }
     }
@@ -82,7 +88,8 @@ pub fn evaluate_rig(
         } else {
             synchronous_pairs(&left.1, &right.1)?
         };
-        evaluation(cameras, has_clock, &pairs, scale)
+        let of_pair = evaluation(cameras, has_clock, &pairs, scale)?;
+        Some(RigEvaluation { has_times, ..of_pair })
     };
     pairs.filter_map(evaluate).collect()
 }
@@ -150,6 +157,7 @@ fn evaluation(
         baseline_drift: series.baseline_drift,
         translation_drift: series.translation_drift * scale,
         rotation_drift_deg: series.rotation_drift_rad.to_degrees(),
+        has_times: true,
         times_s: pairs.iter().map(|pair| pair.time_s).collect(),
         series,
     })

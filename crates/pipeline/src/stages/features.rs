@@ -287,7 +287,7 @@ impl<'a> Survey<'a> {
                 Err(error) => {
                     let (image, reason) = (image(), Error::to_string(&error));
                     emit(watch, &Event::ImageSkipped { image, reason: &reason })?;
-                    skipped.push(SkippedImage { image: image.to_owned(), reason });
+                    skipped.push(SkippedImage { image: image.to_owned(), reason, others: 0 });
                     Ok(())
                 }
             }
@@ -374,7 +374,7 @@ impl<'a> Survey<'a> {
         for what in notes {
             run.emit(&Event::Noted { what })?;
         }
-        for SkippedImage { image, reason } in skipped {
+        for SkippedImage { image, reason, .. } in skipped {
             run.emit(&Event::ImageSkipped { image, reason })?;
         }
         let is_unknown = matches!(options.calibration, Calibration::Unknown { focal_px: None, .. });

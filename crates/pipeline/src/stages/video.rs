@@ -247,15 +247,20 @@ fn with_unique_names(mut recordings: Vec<Recording>) -> Result<Vec<Recording>, E
     let names: Vec<String> = recordings.iter().map(|recording| recording.name.clone()).collect();
     for recording in &mut recordings {
         if names.iter().filter(|name| **name == recording.name).count() > 1 {
-            let folder = recording.chapters.first().and_then(|file| file.parent()?.file_name());
-            let folder =
-                folder.map_or_else(String::new, |folder| folder.to_string_lossy().into_owned());
-            recording.name = format!("{folder}-{}", recording.name);
+            // Of `clip.mp4` the folder is the current one.
+            let file = recording.chapters.first().and_then(|file| file.canonicalize().ok());
+            let folder = file.as_deref().and_then(|file| file.parent()?.file_name());
+            if let Some(folder) = folder {
+                recording.name = format!("{}-{}", folder.to_string_lossy(), recording.name);
+            }
         }
     }
     for (index, recording) in recordings.iter().enumerate() {
-        if recordings[..index].iter().any(|other| other.name == recording.name) {
-            return Err(InputError::TwoVideosOfOneName { name: recording.name.clone() }.into());
+        let same = recordings[..index].iter().find(|other| other.name == recording.name);
+        if let Some(same) = same {
+            let first_file = |of: &Recording| of.chapters.first().cloned().unwrap_or_default();
+            let (first, other) = (first_file(same), first_file(recording));
+            return Err(InputError::TwoVideosOfOneName { first, other }.into());
         }
     }
     Ok(recordings)
@@ -498,5 +503,9 @@ mod tests {
             with_unique_names(recordings(&[path("left/a.mp4"), path("left/a.mov")]).unwrap()),
             Err(Error::Input(InputError::TwoVideosOfOneName { .. }))
         ));
+        let twice =
+            with_unique_names(recordings(&[path("left/a.mp4"), path("left/a.mp4")]).unwrap());
+        let error = twice.unwrap_err().to_string();
+        assert!(error.ends_with("left/a.mp4 is given twice: each video is one camera"), "{error}");
     }
 }

@@ -71,9 +71,14 @@ impl Recipe {
         let changed: Vec<String> = changed.map(|key| self.changed_option(asked, key)).collect();
         if !changed.is_empty() {
             let named = changed[..changed.len().min(MAX_NAMED)].join(", ");
+            // Options that come with the photos, as their times, differ with them.
+            let input = match stage {
+                Stage::Features if self.input != asked.input => "from other photos, and ",
+                _ => "",
+            };
             return Some(match changed.len().saturating_sub(MAX_NAMED) {
-                0 => format!("with {named}"),
-                more => format!("with {named}, and {more} more that differ"),
+                0 => format!("{input}with {named}"),
+                more => format!("{input}with {named}, and {more} more that differ"),
             });
         }
         (self.input != asked.input).then(|| match stage {
@@ -323,6 +328,10 @@ mod tests {
         );
         let error = records.begin(dir, Stage::Match, &recipe("c", "exhaustive"), None).unwrap_err();
         assert!(error.to_string().contains("from other features"), "{error}");
+        let mut photos = Records::default();
+        photos.begin(dir, Stage::Features, &recipe("a", "0"), None).unwrap();
+        let error = photos.begin(dir, Stage::Features, &recipe("b", "1"), None).unwrap_err();
+        assert!(error.to_string().contains("from other photos, and with `match.pairs`"), "{error}");
         let redone =
             records.begin(dir, Stage::Match, &recipe("a", "sequential:5"), Some(Stage::Match));
         assert_eq!(redone.unwrap(), Progress::Begin);

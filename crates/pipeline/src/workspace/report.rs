@@ -65,6 +65,13 @@ pub struct FeaturesReport {
     pub cameras: Vec<CameraReport>,
 }
 
+impl FeaturesReport {
+    /// Number of files that were skipped: an entry may stand for several.
+    pub fn num_skipped(&self) -> usize {
+        self.skipped.iter().map(|image| 1 + image.others).sum()
+    }
+}
+
 /// Summary of matching.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(expecting = "an object")]

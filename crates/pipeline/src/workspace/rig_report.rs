@@ -132,6 +132,17 @@ pub struct PaperReport {
     pub bad_pairs: Vec<[String; 2]>,
 }
 
+impl ExtrinsicsReport {
+    /// The change of the error of held-out tracks by the constraint, with its standard deviation.
+    pub fn held_out_change(&self) -> Option<String> {
+        let sd = 100.0 * self.held_out_change_sd?;
+        let percent = 100.0 * (self.held_out_error_px / self.held_out_error_off_px - 1.0);
+        // Not "-0.0".
+        let percent = (10.0 * percent).round() / 10.0 + 0.0;
+        Some(format!("{percent:+.1} ± {sd:.1} %"))
+    }
+}
+
 impl RigReport {
     /// The report on the rig of a model; `None` for a single camera. `metres_per_unit` is the
     /// length of the unit that the model had while mapping; 1 if the model was not scaled.
@@ -252,7 +263,9 @@ fn extrinsics_report(
         (RigMode::Auto, Some(RigConstraint::Rigid)) => {
             format!("exact extrinsics fit held-out tracks as well as weaker ones: {errors}")
         }
-        (_, Some(RigConstraint::Soft { .. })) => soft_reason(limit, &errors),
+        (_, Some(RigConstraint::Soft { sigma_rotation_rad, .. })) => {
+            soft_reason(limit, sigma_rotation_rad, &errors)
+        }
         _ => format!("as asked for; error of held-out tracks {errors}"),
     };
     ExtrinsicsReport {
@@ -279,7 +292,7 @@ fn extrinsics_report(
 }
 
 /// Why a constraint is soft, and not tighter.
-fn soft_reason(limit: Option<ConstraintLimit>, errors: &str) -> String {
+fn soft_reason(limit: Option<ConstraintLimit>, sigma_rotation_rad: f64, errors: &str) -> String {
     let held_out = format!("error of held-out tracks {errors}");
     match limit {
         Some(ConstraintLimit::HeldOutError { error_px }) => format!(
@@ -289,7 +302,9 @@ fn soft_reason(limit: Option<ConstraintLimit>, errors: &str) -> String {
             format!("the relative poses scatter more than smaller sigmas allow; {held_out}")
         }
         Some(ConstraintLimit::FlexibleRotation) => format!(
-            "the images contradict a smaller sigma of rotation, as if the mount moved; {held_out}"
+            "the images contradict a sigma of rotation below {:.3}°, as of a mount that bends, or \
+            of a lens that the camera model does not describe; {held_out}",
+            sigma_rotation_rad.to_degrees()
         ),
         Some(ConstraintLimit::Unsynchronised) => format!(
             "the cameras are not triggered together, as rigid frames would need; {held_out}"
@@ -357,9 +372,10 @@ mod tests {
             ConstraintLimit::Smallest,
         ];
         let reasons: Vec<String> =
-            limits.iter().map(|limit| soft_reason(Some(*limit), errors)).collect();
+            limits.iter().map(|limit| soft_reason(Some(*limit), 0.001, errors)).collect();
         assert!(reasons.iter().all(|reason| reason.ends_with(errors)), "{reasons:#?}");
         assert!(reasons[0].contains("0.610 px") && reasons[4].contains("0.580 px"), "{reasons:#?}");
+        assert!(reasons[2].contains("below 0.057°"), "{reasons:#?}");
         // Only two say that the error would increase: it decreased in the others.
         let increases = |reason: &&String| reason.contains("would be");
         assert_eq!(reasons.iter().filter(increases).count(), 2, "{reasons:#?}");

@@ -1,6 +1,6 @@
 //! What a report says, in a few sentences.
 
-use crate::workspace::report::{ModelReport, Report};
+use crate::workspace::report::{FeaturesReport, ModelReport, Report};
 use crate::workspace::rig_file::ConstraintKind;
 use crate::workspace::rig_report::RigReport;
 
@@ -15,6 +15,8 @@ pub fn verdict(report: &Report) -> Vec<String> {
     };
     let mut sentences =
         vec![format!("{poses}, mean reprojection error {mean_reprojection_error_px:.2} px")];
+    let features = report.stages.features.as_ref();
+    sentences.extend(features.and_then(of_skipped));
     sentences.extend(model.rig.as_ref().map(of_rig));
     sentences.push(match report.warnings.len() {
         0 => "no warnings".to_owned(),
@@ -22,6 +24,15 @@ pub fn verdict(report: &Report) -> Vec<String> {
         count => format!("{count} warnings: look at them before you use the result"),
     });
     sentences
+}
+
+/// How many files of the input no image was made of.
+fn of_skipped(features: &FeaturesReport) -> Option<String> {
+    let first = &features.skipped.first()?.image;
+    Some(match features.num_skipped() {
+        1 => format!("1 file of the input was left out: {first}"),
+        count => format!("{count} files of the input were left out, first {first}"),
+    })
 }
 
 /// Whether the rig constrains the model, and what that contributes.
@@ -45,9 +56,8 @@ fn of_rig(rig: &RigReport) -> String {
         ConstraintKind::Rigid => "rigid",
     };
     let (off_px, px) = (extrinsics.held_out_error_off_px, extrinsics.held_out_error_px);
-    let change = extrinsics.held_out_change_sd.map_or(String::new(), |sd| {
-        format!(" ({:+.1} ± {:.1} %)", 100.0 * (px / off_px - 1.0), 100.0 * sd)
-    });
+    let change = extrinsics.held_out_change();
+    let change = change.map_or(String::new(), |change| format!(" ({change})"));
     let free = match &extrinsics.unconstrained[..] {
         [] => String::new(),
         free => format!("; {} permits no constraint", free.join(", ")),
@@ -60,7 +70,10 @@ fn of_rig(rig: &RigReport) -> String {
 
 #[cfg(test)]
 mod tests {
+    use tiepoint_input::SkippedImage;
+
     use super::*;
+    use crate::workspace::report::StageReports;
     use crate::workspace::rig_report::{ExtrinsicsReport, RigCameraReport};
     use crate::workspace::warning::Warning;
 
@@ -100,6 +113,13 @@ mod tests {
         let used = of("auto", Some(with_sd));
         let end = "0.600 px (-16.7 ± 2.0 %); rear permits no constraint";
         assert!(used.ends_with(end), "{used}");
+        let same = ExtrinsicsReport {
+            held_out_error_px: 0.5999,
+            held_out_change_sd: Some(0.0001),
+            ..extrinsics.clone()
+        };
+        let used = of("auto", Some(same));
+        assert!(used.ends_with("(+0.0 ± 0.0 %)"), "{used}");
         let unused = of("auto", Some(ExtrinsicsReport { chosen: None, ..extrinsics }));
         assert_eq!(unused, "no rig constraint: why");
         assert!(
@@ -111,6 +131,16 @@ mod tests {
         let expected =
             "incomplete: 7 of 9 images have a pose in sparse/0, mean reprojection error 0.52 px";
         assert_eq!(verdict(&report), [expected, "no warnings"]);
+        // One entry may stand for several files.
+        let skipped = |others: usize| {
+            let skipped =
+                SkippedImage { image: "b.heic".to_owned(), reason: String::new(), others };
+            let features = FeaturesReport { skipped: vec![skipped], ..FeaturesReport::default() };
+            let stages = StageReports { features: Some(features), ..StageReports::default() };
+            verdict(&Report { stages, ..report.clone() })[1].clone()
+        };
+        assert_eq!(skipped(0), "1 file of the input was left out: b.heic");
+        assert_eq!(skipped(2), "3 files of the input were left out, first b.heic");
         report.models[0].registered = 9;
         report.warnings = vec![Warning::Jumps { model: String::new(), images: Vec::new() }; 2];
         let [poses, warnings] = verdict(&report).try_into().unwrap();
