@@ -130,8 +130,8 @@ fn pairs_between(
 }
 
 /// Two places that look alike in one model: only the pairs count that contradicted the one place.
-/// Some of these are wrong, and match other sides of what looks alike. Where the places meet, images
-/// of one find what those of the other see.
+/// Some of these are wrong, and match other sides of what looks alike. Where the places meet,
+/// images of one find what those of the other see.
 fn joined_places(input: Input, one: &MappedModel, other: &MappedModel) -> Option<Reconstruction> {
     let places = || [one, other].into_iter().flat_map(|model| &model.other_places);
     let is_connection = |pair: &ImagePair| places().any(|place| place.connections.contains(pair));

@@ -13,7 +13,6 @@ mod join;
 mod known_rigs;
 mod loops;
 mod merge;
-mod other_place;
 mod refinement_schedule;
 mod refiner;
 mod run;

@@ -15,9 +15,12 @@ use super::solution::{Phase, Solution};
 use super::term_frame::{active, term_from_model, without_scaling};
 use crate::Error;
 use crate::event::{Event, Watch, notify};
+use crate::mapped_model::OtherPlace;
 use crate::options::RigMode;
+use crate::register::duplicate_place;
 use crate::rigs::{BaselineTerm, LinkWeights};
 use crate::terms::with_terms;
+use crate::timeline::{images_in_time, images_of_cameras};
 use crate::tracks::{
     complete_tracks, filter_all_points, filter_images, filter_points, merge_tracks, update_tracks,
 };
@@ -216,6 +219,28 @@ impl<'a> Refiner<'a> {
     /// Whether there are known rigs whose extrinsics are constant.
     pub(super) fn has_constant_rigs(&self) -> bool {
         self.input.known_rigs.is_some_and(|known| !known.refine_extrinsics)
+    }
+
+    /// The smaller of two places that the model holds as one. Not looked for in models of known
+    /// rigs and of given poses, and where times of cameras are known: their continuity is better
+    /// evidence.
+    pub(super) fn other_place(&self) -> Option<OtherPlace> {
+        let input = self.input;
+        let is_timed = |images: &Vec<ImageId>| images_in_time(input.scene, images).is_some();
+        if input.known_rigs.is_some()
+            || self.existing.is_some()
+            || images_of_cameras(input.scene).values().any(is_timed)
+        {
+            return None;
+        }
+        let options = input.options;
+        duplicate_place(
+            input.graph,
+            &self.solution.model,
+            options.min_model_size,
+            options.register.max_error_px,
+            options.seed,
+        )
     }
 }
 

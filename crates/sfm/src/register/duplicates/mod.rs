@@ -63,9 +63,9 @@ pub(crate) fn duplicate_place(
     Some(OtherPlace { images, connections: across.filter_map(pair).collect() })
 }
 
-/// Whether the images of a group and the other ones, where they look at the same, find the points of
-/// the others as one place lets expect rather than two: more often than the geometric mean of the
-/// two shares.
+/// Whether the images of a group and the other ones, where they look at the same, find the points
+/// of the others as one place lets expect rather than two: more often than the geometric mean of
+/// the two shares.
 pub(crate) fn find_each_other(
     graph: &CorrespondenceGraph,
     model: &Reconstruction,
@@ -209,9 +209,7 @@ mod tests {
 
     #[test]
     fn images_of_one_place_find_each_other() {
-        let is_first = |k: &usize| k % 2 == 0;
-        let group: BTreeSet<ImageId> =
-            (0..IMAGES).filter(is_first).map(|k| ImageId(k as u32)).collect();
+        let group: BTreeSet<ImageId> = (0..IMAGES).step_by(2).map(|k| ImageId(k as u32)).collect();
         let agree = |world: &World| {
             let (graph, model) = scene(world, 0);
             find_each_other(&graph, &model, &group)

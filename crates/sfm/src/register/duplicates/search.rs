@@ -28,8 +28,8 @@ const MAX_COMBINATIONS: usize = 10;
 /// Key of the random streams.
 const STREAM: u64 = 0x6475_7062;
 
-/// The best division that is found; `None` if the `close` expectations suggest none. The `wide` ones
-/// choose among divisions.
+/// The best division that is found; `None` if the `close` expectations suggest none. The `wide`
+/// ones choose among divisions.
 pub(super) fn best_division(
     close: &Expectations,
     wide: impl FnOnce() -> Expectations,
