@@ -82,15 +82,18 @@ impl CorrespondenceGraph {
 
     /// Returns the graph with additional verified pairs. They replace pairs of the same images.
     pub fn extended(&self, two_views: impl IntoIterator<Item = (ImagePair, TwoView)>) -> Self {
-        let counts: Vec<usize> = self.images.iter().map(|image| image.offsets.len() - 1).collect();
-        Self::new(&counts, self.pairs.clone().into_iter().chain(two_views))
+        Self::new(&self.keypoint_counts(), self.pairs.clone().into_iter().chain(two_views))
     }
 
     /// Returns the graph of those verified pairs that `is_kept` keeps.
     pub fn filtered(&self, is_kept: impl Fn(&ImagePair) -> bool) -> Self {
-        let counts: Vec<usize> = self.images.iter().map(|image| image.offsets.len() - 1).collect();
         let pairs = self.pairs.iter().filter(|(pair, _)| is_kept(pair));
-        Self::new(&counts, pairs.map(|(pair, two_view)| (*pair, two_view.clone())))
+        let pairs = pairs.map(|(pair, two_view)| (*pair, two_view.clone()));
+        Self::new(&self.keypoint_counts(), pairs)
+    }
+
+    fn keypoint_counts(&self) -> Vec<usize> {
+        self.images.iter().map(|image| image.offsets.len() - 1).collect()
     }
 
     /// Number of images of the graph.

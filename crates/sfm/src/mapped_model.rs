@@ -54,24 +54,20 @@ pub struct OtherPlace {
 }
 
 impl OtherPlace {
-    /// Whether most of these images are of this place.
-    pub(crate) fn is_of(&self, images: &BTreeSet<ImageId>) -> bool {
-        2 * self.images.intersection(images).count() > images.len()
+    /// Whether most images of a model are of this place.
+    fn is_of(&self, model: &Reconstruction) -> bool {
+        let num_of_place = model.registered().filter(|(id, ..)| self.images.contains(id)).count();
+        2 * num_of_place > model.num_registered()
     }
 }
 
 impl MappedModel {
-    /// The registered images.
-    pub(crate) fn images(&self) -> BTreeSet<ImageId> {
-        self.reconstruction.registered().map(|(id, ..)| id).collect()
-    }
-
     /// Whether the places of two models look alike, and are known as two: most images of one are in
     /// [`OtherPlace::images`] of the other one.
     pub fn is_other_place_than(&self, other: &Self) -> bool {
-        let has = |of: &Self, images: BTreeSet<ImageId>| {
-            of.other_places.iter().any(|place| place.is_of(&images))
+        let has = |of: &Self, model: &Self| {
+            of.other_places.iter().any(|place| place.is_of(&model.reconstruction))
         };
-        has(self, other.images()) || has(other, self.images())
+        has(self, other) || has(other, self)
     }
 }

@@ -7,7 +7,7 @@
 
 use std::fs;
 use std::num::NonZeroUsize;
-use std::path::{Path, PathBuf};
+use std::path::{Path, PathBuf, absolute};
 
 use serde::{Deserialize, Serialize};
 use tiepoint_input::fingerprint::hash_file_ends;
@@ -247,8 +247,9 @@ fn with_unique_names(mut recordings: Vec<Recording>) -> Result<Vec<Recording>, E
     let names: Vec<String> = recordings.iter().map(|recording| recording.name.clone()).collect();
     for recording in &mut recordings {
         if names.iter().filter(|name| **name == recording.name).count() > 1 {
-            // Of `clip.mp4` the folder is the current one.
-            let file = recording.chapters.first().and_then(|file| file.canonicalize().ok());
+            // Of `clip.mp4` the folder is the current one. Links are not followed: two of them may
+            // lead into one folder.
+            let file = recording.chapters.first().and_then(|file| absolute(file).ok());
             let folder = file.as_deref().and_then(|file| file.parent()?.file_name());
             if let Some(folder) = folder {
                 recording.name = format!("{}-{}", folder.to_string_lossy(), recording.name);

@@ -324,17 +324,7 @@ impl Saved for Solution {
     }
 }
 
-impl Saved for OtherPlace {
-    fn write(&self, to: &mut Writer) {
-        let Self { images, connections } = self;
-        images.write(to);
-        connections.write(to);
-    }
-
-    fn read(from: &mut Reader) -> Option<Self> {
-        Some(Self { images: Saved::read(from)?, connections: Saved::read(from)? })
-    }
-}
+saved! { struct OtherPlace { images, connections } }
 
 /// The motion during exposures follows from the rest.
 impl Saved for MappedModel {

@@ -64,7 +64,7 @@ pub(super) fn join_models(
                 let [one, other] = [larger, smaller].map(|k| &models[k]);
                 let joined = match one.is_other_place_than(other) {
                     true => joined_places(input, one, other)?,
-                    false => joined(input, one, other)?,
+                    false => joined(input, &one.reconstruction, &other.reconstruction)?,
                 };
                 Some((smaller, joined))
             }),
@@ -119,9 +119,10 @@ pub(super) fn registered(model: &Reconstruction) -> BTreeSet<ImageId> {
 /// The verified pairs between the images of two models.
 fn pairs_between(
     graph: &CorrespondenceGraph,
-    one: &BTreeSet<ImageId>,
-    other: &BTreeSet<ImageId>,
+    one: &Reconstruction,
+    other: &Reconstruction,
 ) -> Vec<ImagePair> {
+    let (one, other) = (registered(one), registered(other));
     let is_between = |pair: &&ImagePair| {
         let between = |a, b| one.contains(a) && other.contains(b);
         between(&pair.a, &pair.b) || between(&pair.b, &pair.a)
@@ -135,27 +136,31 @@ fn pairs_between(
 fn joined_places(input: Input, one: &MappedModel, other: &MappedModel) -> Option<Reconstruction> {
     let places = || [one, other].into_iter().flat_map(|model| &model.other_places);
     let is_connection = |pair: &ImagePair| places().any(|place| place.connections.contains(pair));
-    let between = pairs_between(input.graph, &one.images(), &other.images());
-    let wrong: BTreeSet<ImagePair> =
-        between.into_iter().filter(|pair| !is_connection(pair)).collect();
-    let graph = input.graph.filtered(|pair| !wrong.contains(pair));
+    let (one, other) = (&one.reconstruction, &other.reconstruction);
+    let between = pairs_between(input.graph, one, other);
+    let (connections, wrong): (Vec<ImagePair>, Vec<ImagePair>) =
+        between.into_iter().partition(is_connection);
+    if connections.is_empty() {
+        return None;
+    }
+    let graph = input.graph.filtered(|pair| wrong.binary_search(pair).is_err());
     let model = joined(Input { graph: &graph, ..input }, one, other)?;
     // Of the other pairs those match the same points that agree with this model.
     let model = refined(input, model)?;
-    find_each_other(input.graph, &model, &one.images()).then_some(model)
+    find_each_other(input.graph, &model, &registered(one)).then_some(model)
 }
 
 /// Both models in one, adjusted together; `None` without evidence.
-fn joined(input: Input, one: &MappedModel, other: &MappedModel) -> Option<Reconstruction> {
-    let (of_one, of_other) = (one.images(), other.images());
-    let between = pairs_between(input.graph, &of_one, &of_other);
+fn joined(input: Input, one: &Reconstruction, other: &Reconstruction) -> Option<Reconstruction> {
+    let (of_one, of_other) = (registered(one), registered(other));
+    let between = pairs_between(input.graph, one, other);
     if between.is_empty() {
         return None;
     }
     let options = MapperOptions { refine: RefineIntrinsics::NONE, ..*input.options };
     let trial = Input::of_trial(input.graph, input.scene, &options);
-    let one = detected(input, one.reconstruction.clone());
-    let other = with_cameras_of(trial, &one, detected(input, other.reconstruction.clone()))?;
+    let one = detected(input, one.clone());
+    let other = with_cameras_of(trial, &one, detected(input, other.clone()))?;
     let merged = merged(trial, &one, &other).or_else(|| merged(trial, &other, &one))?;
     if !agrees(input, &merged, &between, options.register.max_error_px) {
         return None;

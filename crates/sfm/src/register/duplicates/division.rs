@@ -20,9 +20,8 @@ use super::relations::Relations;
 /// with the poses. Of pairs of photos of two identical houses, on twins-apart, seed 11
 /// (docs/benchmarks/photos.md).
 pub(super) const FOUND_ELSEWHERE: f64 = 0.12;
-/// Points that a verified pair counts for: as many as an empty cell of `evidence` has at least. Not
-/// varied.
-const POINTS_OF_PAIR: f64 = 5.0;
+/// Points of a cell that tells something.
+pub(super) const MIN_POINTS: usize = 5;
 /// Weight of a point that no image of the other group is expected to observe.
 const UNKNOWN_WEIGHT: f64 = 0.5;
 
@@ -90,9 +89,10 @@ impl<'a> Points<'a> {
         }
     }
 
-    /// What a verified pair that contradicts the poses says against one group for both images.
+    /// What a verified pair that contradicts the poses says against one group for both images: as
+    /// much as the fewest points of a cell that tells something. Not varied.
     pub(super) fn weight_of_pair(&self) -> f64 {
-        POINTS_OF_PAIR * self.ln_found
+        MIN_POINTS as f64 * self.ln_found
     }
 
     pub(super) fn counts(&self, sides: &[bool]) -> Vec<Counts> {

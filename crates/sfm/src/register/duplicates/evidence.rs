@@ -3,11 +3,9 @@
 //! Each cell of an image with enough points that the other group lets expect is empty, shared or in
 //! between, by the share of points that the other group alone observes.
 
-use super::division::{is_across, is_of_one_group, is_within};
+use super::division::{MIN_POINTS, is_across, is_of_one_group, is_within};
 use super::expected::Expectations;
 
-/// Points of a cell that tells something.
-const MIN_POINTS: usize = 5;
 /// Least share of points of the other group alone in an empty cell, and in one between.
 const EMPTY: f64 = 5.0 / 6.0;
 const BETWEEN: f64 = 0.5;

@@ -18,8 +18,8 @@ use crate::register::square_cells::square_cell;
 /// (docs/benchmarks/photos.md), without half and double.
 pub(super) const CLOSE_RAD: f64 = 0.122_15;
 /// A wider angle (12°), at which more photos around an object are compared with their neighbours.
-/// What hides a point from one view alone shifts the sums of all divisions alike. Chosen on twins,
-/// seeds 1 to 3, which have a photo at every 11°; not varied.
+/// Chosen on twins, seeds 1 to 3 (docs/benchmarks/photos.md), which have a photo at every 11°
+/// around each house; not varied.
 pub(super) const WIDE_RAD: f64 = 0.209_4;
 const MAX_DISTANCE_RATIO: f64 = 1.2;
 /// A point is hidden if the points that the image observes in its cell are nearer than this share

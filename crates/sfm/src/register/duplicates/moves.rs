@@ -96,15 +96,15 @@ pub(super) enum Effort {
     Surroundings,
 }
 
-/// A division near `sides` that the search does not improve: first with equal weights if
-/// `is_random`.
+/// A division near `sides` that the search does not improve. `has_weights`: `sides` tells the
+/// weights of the points; else they are equal at first.
 pub(super) fn local_best(
     points: &Points,
     mut sides: Vec<bool>,
-    is_random: bool,
+    has_weights: bool,
     effort: Effort,
 ) -> Vec<bool> {
-    if is_random {
+    if !has_weights {
         improve(points, &mut sides, &vec![1.0; points.of_tracks.len()], Effort::Single);
     }
     for _ in 0..MAX_ROUNDS {

@@ -39,7 +39,7 @@ pub(super) fn best_division(
     let points = Points::new(close, relations)?;
     let spectral = spectral::divisions(close, seed);
     let best = |sides: Vec<bool>| {
-        let sides = local_best(&points, sides, true, Effort::Single);
+        let sides = local_best(&points, sides, false, Effort::Single);
         (points.sum(&sides), sides)
     };
     // Most collections end here.
@@ -52,18 +52,14 @@ pub(super) fn best_division(
         let mut rng = Rng::stream(seed, &[STREAM, start]);
         close.images.iter().map(|_| rng.below(2) == 1).collect()
     };
-    let random: Vec<Vec<bool>> = (0..STARTS).map(random).collect();
-    let of_close = |(sides, is_random): (Vec<bool>, bool)| {
-        local_best(&points, sides, is_random, Effort::Sequences)
-    };
-    let starts = first.into_iter().map(|(_, sides)| (sides, false));
-    let starts: Vec<(Vec<bool>, bool)> =
-        starts.chain(random.into_iter().map(|sides| (sides, true))).collect();
-    let starts: Vec<Vec<bool>> = starts.into_par_iter().map(of_close).collect();
+    let sequences = |sides, has_weights| local_best(&points, sides, has_weights, Effort::Sequences);
+    let of_first = first.into_par_iter().map(|(_, sides)| sequences(sides, true));
+    let of_random = (0..STARTS).into_par_iter().map(|start| sequences(random(start), false));
+    let starts: Vec<Vec<bool>> = of_first.chain(of_random).collect();
     let wide = wide();
     let points = Points::new(&wide, relations)?;
     let of_wide = |sides: Vec<bool>| {
-        let sides = local_best(&points, sides, false, Effort::Sequences);
+        let sides = local_best(&points, sides, true, Effort::Sequences);
         (points.sum(&sides), sides)
     };
     let mut results: Vec<(f64, Vec<bool>)> = starts.into_par_iter().map(of_wide).collect();
@@ -109,6 +105,6 @@ fn combined(points: &Points, results: &[(f64, Vec<bool>)]) -> (f64, Vec<bool>) {
     // In order: the first of equal ones.
     let all: Vec<(f64, Vec<bool>)> = all.collect();
     let best = all.into_iter().reduce(better).unwrap_or_else(|| best[0].clone());
-    let improved = local_best(points, best.1.clone(), false, Effort::Surroundings);
+    let improved = local_best(points, best.1.clone(), true, Effort::Surroundings);
     better(best, (points.sum(&improved), improved))
 }

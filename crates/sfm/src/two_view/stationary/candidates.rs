@@ -29,8 +29,8 @@ const MIN_SPOTS: usize = 8;
 /// Fewest images in which fewer adjacent spots are an overlay, if these are half of all: dirt.
 /// Chosen after two false alarms: 6 spots in 5 of 10 images of a real turntable, and 2 distant ones
 /// beside the road in 8 and 9 of 12 images of a rendered drive of 9 m. On the sets of
-/// `bench/overlays.py`, of 12 to 24 images, 3 % less of the dirt of a drive stays with half; with
-/// double, none is found.
+/// `bench/overlays.py`, 3 % less of the dirt of a drive stays with half; they have 12 to 24 images,
+/// and tell nothing of double.
 const MANY_IMAGES: usize = 16;
 /// Keypoints within so many scales of a stationary one are on the same overlay. Its letters and
 /// digits may change. On the sets of `bench/overlays.py`, half and double change 1 % of the matches
