@@ -4,7 +4,7 @@
 #![allow(clippy::needless_range_loop)]
 
 use super::cursor::Cursor;
-use super::product::{ColumnSpan, SumProduct, over_lanes};
+use super::product::{SubtractProducts, over_lanes};
 use super::simd::{Isa, Kernel, Vector, WIDE};
 use super::stash::{StashHead, stash_rows};
 use super::workspace::{SLACK, Workspace};
@@ -81,14 +81,12 @@ impl<const P: usize> Kernel for Eliminate<'_, '_, P> {
         if task.elimination == Elimination::Implicit {
             return;
         }
-        let mut pairs = task.patterns.pair_tiles[pattern.pairs..].iter();
-        for (l, b) in pattern_blocks.iter().enumerate() {
-            let b = ColumnSpan { column: b.padded_offset, dof: b.dof };
-            for (a, &at) in pattern_blocks[..=l].iter().zip(pairs.by_ref()) {
-                let a = ColumnSpan { column: a.padded_offset, dof: a.dof };
-                let tile = &mut tiles[at as usize..];
-                I::run(SumProduct::<_, false> { rows: w.chunks_exact(width), a, b, tile });
-            }
+        let mut pairs = &task.patterns.pair_tiles[pattern.pairs..];
+        for l in 0..pattern_blocks.len() {
+            let blocks = &pattern_blocks[l..];
+            let (tile_at, rest) = pairs.split_at(blocks.len());
+            pairs = rest;
+            I::run(SubtractProducts { y: w, width, blocks, tile_at, tiles });
         }
     }
 }

@@ -6,7 +6,7 @@
 //! one in each column. See [`tile_lanes`].
 
 use super::simd::{Isa, Kernel, LANES, Vector, WIDE};
-use crate::structure::{tile_lanes, tile_len};
+use crate::structure::{PatternBlock, tile_lanes, tile_len};
 
 /// Calls `f::<V, ..>(i, ..)` for the vectors of a row of `len` numbers, a multiple of [`LANES`]: V
 /// is the widest vector that fits from number i on.
@@ -166,6 +166,87 @@ impl<'a> Iterator for GatheredRows<'a> {
         match self.starts.next() {
             Some(&start) => Some(&self.numbers[start as usize..]),
             None => None,
+        }
+    }
+}
+
+/// Subtracts YᵀY of the first of some blocks with itself and with the others from their tiles.
+pub(super) struct SubtractProducts<'a> {
+    /// Y: rows over the blocks of a pattern, `width` apart.
+    pub(super) y: &'a [f64],
+    pub(super) width: usize,
+    pub(super) blocks: &'a [PatternBlock],
+    /// The offset of each block's tile in `tiles`.
+    pub(super) tile_at: &'a [u32],
+    pub(super) tiles: &'a mut [f64],
+}
+
+impl Kernel for SubtractProducts<'_> {
+    #[inline(always)]
+    fn run<I: Isa>(self) {
+        let Self { y, width, blocks, tile_at, tiles } = self;
+        let rows = y.chunks_exact(width);
+        let a = ColumnSpan { column: blocks[0].padded_offset, dof: blocks[0].dof };
+        let others = blocks.iter().zip(tile_at);
+        if I::MANY_REGISTERS && a.dof == POSE && y.len() == POINT * width {
+            let mut three = [&[][..]; POINT];
+            for (to, row) in three.iter_mut().zip(rows.clone()) {
+                *to = row;
+            }
+            let factors = PoseOfPoint::<I::Wide>::new(&three, a.column);
+            for (b, &at) in others {
+                let (b, tile) =
+                    (ColumnSpan { column: b.padded_offset, dof: b.dof }, &mut tiles[at as usize..]);
+                if tile_lanes(b.dof) == WIDE && b.dof <= WIDE {
+                    factors.subtract(&three, b.column, tile);
+                } else {
+                    sum_product::<I, false>(rows.clone(), a, b, tile);
+                }
+            }
+            return;
+        }
+        for (b, &at) in others {
+            let b = ColumnSpan { column: b.padded_offset, dof: b.dof };
+            sum_product::<I, false>(rows.clone(), a, b, &mut tiles[at as usize..]);
+        }
+    }
+}
+
+/// Degrees of freedom of a pose and of a point.
+const POSE: usize = 6;
+const POINT: usize = 3;
+
+/// Y of one point and one pose, each number in a vector of its own: most of the work of a
+/// reconstruction whose images share intrinsics. They stay in registers for all tiles of the pose.
+struct PoseOfPoint<V>([[V; POSE]; POINT]);
+
+impl<V: Vector> PoseOfPoint<V> {
+    #[inline(always)]
+    fn new(rows: &[&[f64]; POINT], column: usize) -> Self {
+        let mut factors = [[V::splat(0.0); POSE]; POINT];
+        for k in 0..POINT {
+            for c in 0..POSE {
+                factors[k][c] = V::splat(rows[k][column + c]);
+            }
+        }
+        Self(factors)
+    }
+
+    /// Subtracts the product with the block from `column` on, whose columns are one vector.
+    #[inline(always)]
+    fn subtract(&self, rows: &[&[f64]; POINT], column: usize, tile: &mut [f64]) {
+        let tile: &mut [f64; POSE * WIDE] =
+            tile.first_chunk_mut().expect("tiles are as long as that");
+        let mut b = [V::splat(0.0); POINT];
+        for k in 0..POINT {
+            b[k] = V::load(&rows[k][column..]);
+        }
+        for c in 0..POSE {
+            let mut sum = V::load(&tile[c * WIDE..]);
+            for k in 0..POINT {
+                sum = self.0[k][c].neg_mul_add(b[k], sum);
+            }
+            sum.store(&mut tile[c * WIDE..]);
         }
     }
 }

@@ -11,7 +11,7 @@ use super::simd::{Isa, Kernel, Vector, WIDE};
 use super::stash::{StashHead, stash_rows};
 use super::workspace::{SLACK, Workspace};
 use crate::structure::{
-    Elimination, LandmarkBlock, SINGLE_ROWS as ROWS, Task, padded, stash_head, stash_len,
+    Elimination, LandmarkBlock, SINGLE_ROWS as ROWS, Task, padded, pair, stash_head, stash_len,
 };
 
 /// Degrees of freedom of a point.
@@ -77,7 +77,7 @@ impl<const D: usize> Kernel for Eliminate<'_, '_, D> {
                     projected,
                 };
                 over_lanes!(lanes, add_block::<I>(&factor, &mut block));
-                let at = pairs[l as usize * (l as usize + 3) / 2] as usize;
+                let at = pairs[pair(pattern_blocks.len(), l as usize, l as usize)] as usize;
                 let projected = [&projected[..lanes], &projected[lanes..]];
                 product::<I, ROWS>(&rows, &projected, dof, dof, &mut tiles[at..]);
             }
@@ -87,13 +87,14 @@ impl<const D: usize> Kernel for Eliminate<'_, '_, D> {
             return;
         }
         let mut first = 0;
-        for (l, b) in pattern_blocks.iter().enumerate() {
-            let b = ColumnSpan { column: b.padded_offset, dof: b.dof_or::<D>() };
-            for (a, &at) in pattern_blocks[..l].iter().zip(&pairs[first..]) {
-                let a = ColumnSpan { column: a.padded_offset, dof: a.dof_or::<D>() };
+        for (l, a) in pattern_blocks.iter().enumerate() {
+            let a = ColumnSpan { column: a.padded_offset, dof: a.dof_or::<D>() };
+            // The first pair is that of the block with itself, see above.
+            for (b, &at) in pattern_blocks[l..].iter().zip(&pairs[first..]).skip(1) {
+                let b = ColumnSpan { column: b.padded_offset, dof: b.dof_or::<D>() };
                 sum_product::<I, false>(w.chunks_exact(width), a, b, &mut tiles[at as usize..]);
             }
-            first += l + 1;
+            first += pattern_blocks.len() - l;
         }
     }
 }

@@ -46,7 +46,7 @@ use ordering::{BlockOrdering, Variables};
 pub(crate) use parallel::for_each_task;
 pub(crate) use shape::{NO_LANDMARK, Shape};
 pub(crate) use stash::{stash_head, stash_len, triangle_row};
-pub(crate) use task::{Batch, LandmarkBlock, PatternBlock, RankUpdate, SINGLE_ROWS, Task};
+pub(crate) use task::{Batch, LandmarkBlock, PatternBlock, RankUpdate, SINGLE_ROWS, Task, pair};
 pub(crate) use tile::{padded, tile_index, tile_lanes, tile_len};
 
 /// Factors of a task: about 100 µs of work.

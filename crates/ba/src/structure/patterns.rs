@@ -6,7 +6,7 @@ use super::clusters::Cluster;
 use super::context::Context;
 use super::elimination::Elimination;
 use super::landmark_drafts::Draft;
-use super::task::{Pattern, PatternBlock, Task};
+use super::task::{Pattern, PatternBlock, Task, pair};
 use super::tile::{Tile, padded, tile_len};
 use crate::error::Error;
 
@@ -153,7 +153,7 @@ impl Tiling<'_> {
                 (&self.clusters[pattern as usize], task.patterns.list[pattern as usize].pairs);
             for j in i as usize..cluster.blocks.len() {
                 let index = self.task_index_of[cluster.blocks[j] as usize];
-                task.patterns.pair_tiles[first + j * (j + 1) / 2 + i as usize] =
+                task.patterns.pair_tiles[first + pair(cluster.blocks.len(), i as usize, j)] =
                     self.tile_at[index as usize];
             }
         }

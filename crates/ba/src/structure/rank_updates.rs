@@ -2,7 +2,7 @@
 //! of C.
 
 use super::shape::Shape;
-use super::task::{Batch, LandmarkBlock, RankUpdate, Task};
+use super::task::{Batch, LandmarkBlock, RankUpdate, Task, pair};
 
 /// Collects the factors of a batch.
 #[derive(Default)]
@@ -59,7 +59,7 @@ impl RankUpdateBuilder {
             for (s, &l) in these.iter().enumerate() {
                 let tile = |&m: &u16| {
                     let (lo, hi) = (l.min(m) as usize, l.max(m) as usize);
-                    task.patterns.pair_tiles[pattern.pairs + hi * (hi + 1) / 2 + lo]
+                    task.patterns.pair_tiles[pattern.pairs + pair(pattern.blocks.len(), lo, hi)]
                 };
                 self.targets.extend(these[..=s].iter().map(tile));
             }

@@ -33,7 +33,7 @@ impl PatternBlock {
 pub(crate) struct Pattern {
     /// Its [`PatternBlock`]s.
     pub(crate) blocks: Range<usize>,
-    /// Offset of its tile offsets, of which that of the pair i ≤ j is at `j (j + 1) / 2 + i`.
+    /// Offset of its tile offsets, of which that of the pair i ≤ j is at [`pair`].
     pub(crate) pairs: usize,
     /// Sum of `padded` over its blocks.
     pub(crate) padded_width: usize,
@@ -41,6 +41,14 @@ pub(crate) struct Pattern {
     pub(crate) packed_width: usize,
     /// Degrees of freedom of every block; 0 if they differ.
     pub(crate) dof: usize,
+}
+
+/// Index of the pair i ≤ j among those of a pattern of `len` blocks: those of block 0 with itself
+/// and the later ones, then those of block 1. Tiles lie in memory in this order, so that a product
+/// over a pattern reads and writes them one after another.
+#[inline(always)]
+pub(crate) fn pair(len: usize, i: usize, j: usize) -> usize {
+    i * (2 * len - i + 1) / 2 + j - i
 }
 
 /// Rows of each factor of a [`single`](LandmarkBlock::single) landmark block.
