@@ -249,7 +249,6 @@ const TO_SPLIT: &[(&str, usize)] = &[
     ("crates/io/src/database/rigs.rs: write_rigs", 85),
     ("crates/input/src/cameras/calibration.rs: assign", 113),
     ("crates/pipeline/src/stages/option_keys.rs: texts_of_other_values_are_fixed", 105),
-    ("crates/sfm/src/rigs/extrinsics_term.rs: add", 112),
     ("crates/sfm/src/two_view/verify.rs: verify_pair", 86),
 ];
 

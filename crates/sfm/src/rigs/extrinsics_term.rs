@@ -14,7 +14,7 @@ use tiepoint_rig::{Clock, InterpolatedExtrinsics, SynchronousExtrinsics};
 use tiepoint_scene::{ImageId, Reconstruction};
 
 use super::extrinsics::{RigConstraint, RigExtrinsics};
-use super::sensor_pair::{ClockState, ReferencePose};
+use super::sensor_pair::{ClockState, ReferencePose, ReferencedImage};
 use crate::terms::with_terms;
 
 /// Prior standard deviations of the clock offset around its initial estimate, and of the drift
@@ -66,112 +66,35 @@ impl Term for ExtrinsicsTerm<'_> {
     fn add(&mut self, context: &TermContext, variables: &mut Variables) -> Result<(), Error> {
         let TermContext { model, noise, .. } = *context;
         self.keys.clear();
-        let keys: BTreeMap<ImageId, Key<Rigid3>> = variables.poses().iter().copied().collect();
-        let key = |image: &ImageId| keys.get(image).copied();
+        let poses: BTreeMap<ImageId, Key<Rigid3>> = variables.poses().iter().copied().collect();
         for (index, extrinsics) in self.all_extrinsics.iter().enumerate() {
-            let pose_key = variables
-                .problem_mut()
-                .add_parameter(extrinsics.cam_from_rig, EliminationOrder::Last);
-            let is_interpolated = extrinsics
-                .referenced_images
-                .iter()
-                .any(|m| matches!(m.reference, ReferencePose::Interpolated { .. }));
-            let clock = is_interpolated.then(|| {
-                variables
-                    .problem_mut()
-                    .add_parameter(extrinsics.sensor_pair.clock, EliminationOrder::Last)
-            });
-            if let Some(clock) = clock {
-                match extrinsics.sensor_pair.clock_state {
-                    ClockState::Estimated => {
-                        let sigmas = [CLOCK_SIGMA_S, DRIFT_SIGMA].map(|sigma| sigma / noise);
-                        let stamps = Clock { drift: 0.0, ..extrinsics.sensor_pair.clock };
-                        variables.problem_mut().add(
-                            clock,
-                            Prior::new(stamps, &sigmas)?,
-                            Loss::Trivial,
-                        )?;
-                    }
-                    ClockState::Synchronised | ClockState::Unobservable => {
-                        variables.problem_mut().fix(clock)
-                    }
-                }
-            }
-            if let Some(assumed_baseline) = extrinsics.sensor_pair.assumed_baseline {
-                variables.problem_mut().add(
-                    pose_key,
-                    extrinsics_prior(extrinsics, assumed_baseline, noise)?,
-                    Loss::Trivial,
-                )?;
-            }
+            let (pose_key, clock) = add_pose_and_clock(extrinsics, noise, variables.problem_mut())?;
             self.keys.push((pose_key, clock));
             for referenced in &extrinsics.referenced_images {
-                let cam = key(&referenced.image);
-                match (extrinsics.constraint, referenced.reference, clock) {
-                    (RigConstraint::Rigid, ReferencePose::Synchronous(reference), _) => {
-                        if let (Some(reference), Some(&(by_index, _))) =
-                            (key(&reference), self.rigid.get(&referenced.image))
+                match extrinsics.constraint {
+                    RigConstraint::Soft { sigma_translation, sigma_rotation_rad } => {
+                        let soft = Soft {
+                            extrinsics,
+                            factor: SynchronousExtrinsics {
+                                sigma_translation,
+                                sigma_rotation_rad,
+                                assumed_baseline: extrinsics.sensor_pair.assumed_baseline,
+                            },
+                            pose_key,
+                            clock,
+                        };
+                        soft.add(model, referenced, &poses, variables.problem_mut())?;
+                    }
+                    // A rigid constraint needs images of the same instant.
+                    RigConstraint::Rigid => {
+                        if let ReferencePose::Synchronous(reference) = referenced.reference
+                            && let Some(&reference) = poses.get(&reference)
+                            && let Some(&(by_index, _)) = self.rigid.get(&referenced.image)
                             && by_index == index
                         {
                             variables.compose_pose(referenced.image, pose_key, reference);
                         }
                     }
-                    (
-                        RigConstraint::Soft { sigma_translation, sigma_rotation_rad },
-                        ReferencePose::Synchronous(reference),
-                        _,
-                    ) => {
-                        let (Some(reference), Some(cam)) = (key(&reference), cam) else { continue };
-                        let factor = SynchronousExtrinsics {
-                            sigma_translation,
-                            sigma_rotation_rad,
-                            assumed_baseline: extrinsics.sensor_pair.assumed_baseline,
-                        };
-                        variables.problem_mut().add(
-                            (reference, cam, pose_key),
-                            factor,
-                            Loss::Trivial,
-                        )?;
-                    }
-                    (
-                        RigConstraint::Soft { sigma_translation, sigma_rotation_rad },
-                        ReferencePose::Interpolated { images, times_s, image_time_s, .. },
-                        Some(clock),
-                    ) => {
-                        let [a, b, c, d] = images.each_ref().map(key);
-                        let (Some(a), Some(b), Some(c), Some(d), Some(cam)) = (a, b, c, d, cam)
-                        else {
-                            continue;
-                        };
-                        let synchronous = SynchronousExtrinsics {
-                            sigma_translation,
-                            sigma_rotation_rad,
-                            assumed_baseline: extrinsics.sensor_pair.assumed_baseline,
-                        };
-                        let Some(reference) =
-                            referenced.rig_from_world(model, &extrinsics.sensor_pair.clock)
-                        else {
-                            continue;
-                        };
-                        let whitening = referenced.whitening(
-                            &synchronous,
-                            &reference,
-                            &extrinsics.cam_from_rig,
-                        );
-                        let factor = InterpolatedExtrinsics {
-                            extrinsics: synchronous,
-                            reference_times_s: times_s,
-                            image_time_s,
-                            whitening,
-                        };
-                        variables.problem_mut().add(
-                            (a, b, c, d, cam, pose_key, clock),
-                            factor,
-                            Loss::Trivial,
-                        )?;
-                    }
-                    // A rigid constraint needs images of the same instant.
-                    (_, ReferencePose::Interpolated { .. }, _) => {}
                 }
             }
         }
@@ -185,6 +108,83 @@ impl Term for ExtrinsicsTerm<'_> {
                 extrinsics.sensor_pair.clock = problem.get(*clock);
             }
         }
+    }
+}
+
+/// Adds the extrinsics, and the clock if poses are interpolated, with their priors.
+fn add_pose_and_clock(
+    extrinsics: &RigExtrinsics,
+    noise: f64,
+    problem: &mut Problem,
+) -> Result<(Key<Rigid3>, Option<Key<Clock>>), Error> {
+    let pose_key = problem.add_parameter(extrinsics.cam_from_rig, EliminationOrder::Last);
+    let is_interpolated = extrinsics
+        .referenced_images
+        .iter()
+        .any(|m| matches!(m.reference, ReferencePose::Interpolated { .. }));
+    let clock = is_interpolated
+        .then(|| problem.add_parameter(extrinsics.sensor_pair.clock, EliminationOrder::Last));
+    if let Some(clock) = clock {
+        match extrinsics.sensor_pair.clock_state {
+            ClockState::Estimated => {
+                let sigmas = [CLOCK_SIGMA_S, DRIFT_SIGMA].map(|sigma| sigma / noise);
+                let stamps = Clock { drift: 0.0, ..extrinsics.sensor_pair.clock };
+                problem.add(clock, Prior::new(stamps, &sigmas)?, Loss::Trivial)?;
+            }
+            ClockState::Synchronised | ClockState::Unobservable => problem.fix(clock),
+        }
+    }
+    if let Some(assumed_baseline) = extrinsics.sensor_pair.assumed_baseline {
+        let prior = extrinsics_prior(extrinsics, assumed_baseline, noise)?;
+        problem.add(pose_key, prior, Loss::Trivial)?;
+    }
+    Ok((pose_key, clock))
+}
+
+/// The soft constraint of a camera.
+struct Soft<'a> {
+    extrinsics: &'a RigExtrinsics,
+    factor: SynchronousExtrinsics,
+    pose_key: Key<Rigid3>,
+    clock: Option<Key<Clock>>,
+}
+
+impl Soft<'_> {
+    /// Constrains an image whose pose and reference poses are variables.
+    fn add(
+        &self,
+        model: &Reconstruction,
+        referenced: &ReferencedImage,
+        poses: &BTreeMap<ImageId, Key<Rigid3>>,
+        problem: &mut Problem,
+    ) -> Result<(), Error> {
+        let key = |image: &ImageId| poses.get(image).copied();
+        let Some(cam) = key(&referenced.image) else { return Ok(()) };
+        match (referenced.reference, self.clock) {
+            (ReferencePose::Synchronous(reference), _) => {
+                let Some(reference) = key(&reference) else { return Ok(()) };
+                problem.add((reference, cam, self.pose_key), self.factor, Loss::Trivial)?;
+            }
+            (ReferencePose::Interpolated { images, times_s, image_time_s, .. }, Some(clock)) => {
+                let [Some(a), Some(b), Some(c), Some(d)] = images.each_ref().map(key) else {
+                    return Ok(());
+                };
+                let RigExtrinsics { sensor_pair, cam_from_rig, .. } = self.extrinsics;
+                let Some(reference) = referenced.rig_from_world(model, &sensor_pair.clock) else {
+                    return Ok(());
+                };
+                let factor = InterpolatedExtrinsics {
+                    whitening: referenced.whitening(&self.factor, &reference, cam_from_rig),
+                    extrinsics: self.factor,
+                    reference_times_s: times_s,
+                    image_time_s,
+                };
+                let variables = (a, b, c, d, cam, self.pose_key, clock);
+                problem.add(variables, factor, Loss::Trivial)?;
+            }
+            (ReferencePose::Interpolated { .. }, None) => {}
+        }
+        Ok(())
     }
 }
 
