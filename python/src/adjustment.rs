@@ -154,7 +154,7 @@ fn centers_of(
 ///   stay, and need `fixed_rigs`: whether the poses of cameras on their rigs stay.
 /// - `loss`: trivial, huber, soft_l1, cauchy or tukey, of residuals in standard deviations of the
 ///   keypoints, with `loss_scale` in the same unit.
-/// - `focal_priors`: tuples of the index of a camera, a focal length and its standard deviation, in
+/// - `focal_priors`: rows of the index of a camera, a focal length and its standard deviation, in
 ///   pixels. Cameras that a calibration gave exactly are not refined.
 /// - `centers`: measured centres of the images in the world, of shape (N, 3), NaN for images
 ///   without one; `center_sigmas`: their standard deviations, a number or an array of shape (N,) or
@@ -173,7 +173,7 @@ pub(crate) fn bundle_adjust<'py>(
     fixed_rigs: bool,
     loss: &str,
     loss_scale: f64,
-    focal_priors: Vec<(usize, f64, f64)>,
+    focal_priors: Vec<[f64; 3]>,
     centers: Option<&Bound<'py, PyAny>>,
     center_sigmas: Option<&Bound<'py, PyAny>>,
     max_iterations: usize,
@@ -197,11 +197,11 @@ pub(crate) fn bundle_adjust<'py>(
         fixed.extend(frame.images.iter().copied());
     }
     let mut priors = Vec::new();
-    for (camera, mean_px, sigma_px) in focal_priors {
-        if camera >= model.num_cameras() {
-            let count = model.num_cameras();
-            return Err(invalid(format!("focal_priors has camera {camera} of {count}")));
-        }
+    for [index, mean_px, sigma_px] in focal_priors {
+        let count = model.num_cameras();
+        let Some(camera) = (0..count).find(|camera| *camera as f64 == index) else {
+            return Err(invalid(format!("focal_priors has camera {index} of {count}")));
+        };
         priors.push(FocalPrior { camera: CameraId::from_index(camera), mean_px, sigma_px });
     }
     let mut measured =

@@ -11,10 +11,10 @@ create_exception!(tiepoint, UsageError, PyValueError, "An argument is invalid.")
 
 /// The exception of work that failed.
 pub(crate) fn failed(error: impl Display) -> PyErr {
-    Error::new_err(error.to_string())
+    Error::new_err(tiepoint_cli::with_keywords(&error.to_string()))
 }
 
 /// The exception of an invalid argument.
 pub(crate) fn invalid(what: impl Display) -> PyErr {
-    UsageError::new_err(what.to_string())
+    UsageError::new_err(tiepoint_cli::with_keywords(&what.to_string()))
 }

@@ -6,7 +6,7 @@ use numpy::ndarray::{Array2, Ix1};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use tiepoint_geometry::estimate::{RigCamera, RigObservation};
-use tiepoint_geometry::nalgebra::{Matrix3, Vector2};
+use tiepoint_geometry::nalgebra::{Matrix3, SVector, Vector2};
 use tiepoint_geometry::triangulate::ViewRay;
 use tiepoint_geometry::{RansacOptions, Report, Sim3, estimate};
 
@@ -43,16 +43,25 @@ fn found<'py, M>(
     Ok(Some(all))
 }
 
+/// Two arrays of corresponding rows; an error names them.
+fn corresponding<const A: usize, const B: usize>(
+    [one, other]: [&Bound<'_, PyAny>; 2],
+    names: [&str; 2],
+) -> PyResult<(Vec<SVector<f64, A>>, Vec<SVector<f64, B>>)> {
+    let (one, other) = (rows::<A>(one, names[0])?, rows::<B>(other, names[1])?);
+    require_same_length(one.len(), other.len(), names)?;
+    Ok((one, other))
+}
+
 /// Estimates a matrix from points of two images.
 fn from_points<'py>(
     python: Python<'py>,
-    [points1, points2]: [&Bound<'py, PyAny>; 2],
+    points: [&Bound<'py, PyAny>; 2],
     options: &RansacOptions,
     name: &str,
     estimate: Estimate,
 ) -> PyResult<Option<Bound<'py, PyDict>>> {
-    let (one, other) = (rows::<2>(points1, "points1")?, rows::<2>(points2, "points2")?);
-    require_same_length(one.len(), other.len(), ["points1", "points2"])?;
+    let (one, other) = corresponding::<2, 2>(points, ["points1", "points2"])?;
     let report = python.detach(|| estimate(&one, &other, options));
     found(python, report, name, |model| matrix3(python, model).into_any())
 }
@@ -72,8 +81,7 @@ pub(crate) fn relative_pose<'py>(
     max_error: f64,
     seed: u64,
 ) -> PyResult<Option<Bound<'py, PyDict>>> {
-    let (one, other) = (rows::<2>(pixels1, "pixels1")?, rows::<2>(pixels2, "pixels2")?);
-    require_same_length(one.len(), other.len(), ["pixels1", "pixels2"])?;
+    let (one, other) = corresponding::<2, 2>([pixels1, pixels2], ["pixels1", "pixels2"])?;
     let options = options(max_error, seed)?;
     let [camera1, camera2] = [camera1, camera2].map(|camera| camera.camera.intrinsics);
     let report =
@@ -95,8 +103,7 @@ pub(crate) fn absolute_pose<'py>(
     seed: u64,
 ) -> PyResult<Option<Bound<'py, PyDict>>> {
     let (pixels, points) =
-        (rows::<2>(pixels, "pixels")?, rows::<3>(points_in_world, "points_in_world")?);
-    require_same_length(pixels.len(), points.len(), ["pixels", "points_in_world"])?;
+        corresponding::<2, 3>([pixels, points_in_world], ["pixels", "points_in_world"])?;
     let options = options(max_error, seed)?;
     let intrinsics = camera.camera.intrinsics;
     let report = python.detach(|| estimate::absolute_pose(&pixels, &points, &intrinsics, &options));
@@ -124,8 +131,7 @@ pub(crate) fn generalized_absolute_pose<'py>(
     seed: u64,
 ) -> PyResult<Option<Bound<'py, PyDict>>> {
     let (pixels, points) =
-        (rows::<2>(pixels, "pixels")?, rows::<3>(points_in_world, "points_in_world")?);
-    require_same_length(pixels.len(), points.len(), ["pixels", "points_in_world"])?;
+        corresponding::<2, 3>([pixels, points_in_world], ["pixels", "points_in_world"])?;
     let indices = numbers::<Ix1>(camera_indices, "camera_indices", "(N,)")?;
     let indices = indices.as_array();
     require_same_length(pixels.len(), indices.len(), ["pixels", "camera_indices"])?;
@@ -173,8 +179,7 @@ pub(crate) fn similarity<'py>(
     with_scale: bool,
     seed: u64,
 ) -> PyResult<Option<Bound<'py, PyDict>>> {
-    let (from, to) = (rows::<3>(points_a, "points_a")?, rows::<3>(points_b, "points_b")?);
-    require_same_length(from.len(), to.len(), ["points_a", "points_b"])?;
+    let (from, to) = corresponding::<3, 3>([points_a, points_b], ["points_a", "points_b"])?;
     let options = options(max_error, seed)?;
     let report = python.detach(|| estimate::similarity(&from, &to, with_scale, &options));
     let scale = report.as_ref().map(|report| report.model.scale);

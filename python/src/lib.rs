@@ -9,6 +9,7 @@ mod errors;
 mod estimate;
 mod features;
 mod fork;
+mod image;
 mod reconstruction;
 mod rig;
 mod undistort;
@@ -23,6 +24,7 @@ fn _tiepoint(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("UsageError", python.get_type::<errors::UsageError>())?;
     module.add_class::<camera::Camera>()?;
     module.add_class::<reconstruction::Reconstruction>()?;
+    module.add_class::<image::ModelImage>()?;
     module.add_function(wrap_pyfunction!(command::commands, module)?)?;
     module.add_function(wrap_pyfunction!(command::run, module)?)?;
     module.add_function(wrap_pyfunction!(features::sift, module)?)?;

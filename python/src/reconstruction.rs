@@ -20,10 +20,12 @@ use crate::arrays::{
 };
 use crate::camera::Camera;
 use crate::errors::{failed, invalid};
+use crate::image::ModelImage;
 
-/// A COLMAP model. Images are those with a pose, in the order of their ids; arrays of images have a
-/// row for each of them, and arrays of points a row for each point. Poses are cam_from_world as
-/// matrices [R | t]. The centre of the top-left pixel is (0.5, 0.5).
+/// A COLMAP model, read from a workspace or a folder. Images are those with a pose, in the order of
+/// their ids; arrays of images have a row for each of them, and arrays of points a row for each
+/// point. Poses are cam_from_world as matrices [R | t]. The centre of the top-left pixel is (0.5,
+/// 0.5).
 #[pyclass(module = "tiepoint")]
 pub(crate) struct Reconstruction {
     pub(crate) model: tiepoint_scene::Reconstruction,
@@ -53,7 +55,7 @@ impl Reconstruction {
         Ok(self.model.image(*id))
     }
 
-    fn row_of(&self, image: ImageId) -> usize {
+    pub(crate) fn row_of(&self, image: ImageId) -> usize {
         self.images.binary_search(&image).expect("observations are those of images with a pose")
     }
 }
@@ -61,6 +63,12 @@ impl Reconstruction {
 #[pymethods]
 impl Reconstruction {
     /// Reads the model of a workspace or a folder with a COLMAP model, binary or text.
+    #[new]
+    fn open(python: Python<'_>, path: PathBuf) -> PyResult<Self> {
+        Self::read(python, path)
+    }
+
+    /// The same as `Reconstruction(path)`.
     #[staticmethod]
     fn read(python: Python<'_>, path: PathBuf) -> PyResult<Self> {
         let located = python.detach(|| LocatedModel::open(&path)).map_err(failed)?;
@@ -105,6 +113,17 @@ impl Reconstruction {
         }
         *self.model.camera_mut(CameraId::from_index(index)) = camera.camera;
         Ok(())
+    }
+
+    /// The images by their ids in the files: a dictionary, as of pycolmap.
+    #[getter]
+    fn images<'py>(this: &Bound<'py, Self>) -> PyResult<Bound<'py, PyDict>> {
+        let (all, this_ref) = (PyDict::new(this.py()), this.try_borrow()?);
+        for id in &this_ref.images {
+            let image = ModelImage { reconstruction: this.clone().unbind(), id: *id };
+            all.set_item(this_ref.model.original_ids.image(*id), image)?;
+        }
+        Ok(all)
     }
 
     /// The names of the images.

@@ -351,9 +351,64 @@ def test_models_are_edited(workspace, tmp_path):
         model.remove_images(names[0])
 
 
+def test_images_have_the_names_of_pycolmap(workspace):
+    model = tiepoint.Reconstruction(workspace)
+    assert list(model.images) == model.image_ids.tolist()
+    for row, (key, image) in enumerate(model.images.items()):
+        assert (image.image_id, image.index, image.name) == (key, row, model.image_names[row])
+        assert (image.cam_from_world() == model.poses[row]).all()
+        assert (image.projection_center() == model.centers[row]).all()
+        assert (image.keypoints == model.keypoints(row)).all()
+        assert repr(image.camera) == repr(model.cameras[model.image_cameras[row]])
+        of_image = model.observations[model.observations[:, 1] == row]
+        ids = np.full(len(image.keypoints), -1)
+        ids[of_image[:, 2]] = model.point_ids[of_image[:, 0]]
+        assert (image.point_ids == ids).all()
+    # It follows the model, also when it is gone.
+    model.remove_images([0])
+    assert image.index == row - 1
+    model.remove_images(np.ones(row, bool))
+    with pytest.raises(tiepoint.UsageError, match="was removed from the model"):
+        image.cam_from_world()
+
+
+def test_folders_without_a_model_say_what_to_pass(drive, workspace, tmp_path):
+    with pytest.raises(tiepoint.Error, match="holds no COLMAP model: give a folder with cameras"):
+        tiepoint.Reconstruction(drive)
+    with pytest.raises(tiepoint.Error, match="give one, as .*sparse/0"):
+        tiepoint.Reconstruction(workspace / "sparse")
+    tiepoint.extract_features(drive, tmp_path / "ws")
+    with pytest.raises(tiepoint.Error, match="a workspace that holds no .* run map_images first"):
+        tiepoint.Reconstruction(tmp_path / "ws")
+
+
 def test_pycolmap_reads_it(workspace):
     pytest.importorskip("pycolmap")
-    model = tiepoint.Reconstruction.read(workspace)
+    model = tiepoint.Reconstruction(workspace)
     there = tiepoint.to_pycolmap(model)
     assert there.num_reg_images() == len(model.image_names)
     assert there.num_points3D() == len(model.points)
+    for key, image in model.images.items():
+        other = there.images[key]
+        assert other.name == image.name and other.camera.params.tolist() == [*image.camera.params]
+        assert np.allclose(other.cam_from_world().matrix(), image.cam_from_world(), atol=1e-12)
+        assert np.allclose(other.projection_center(), image.projection_center(), atol=1e-9)
+    back = tiepoint.from_pycolmap(there)
+    assert list(back.images) == list(model.images) and (back.point_ids == model.point_ids).all()
+    assert np.abs(back.poses - model.poses).max() < 1e-12 and (back.points == model.points).all()
+
+
+def test_lists_texts_and_arrays_are_alike(workspace):
+    params = [500.0, 500.0, 320.0, 240.0]
+    for alike in (params, tuple(params), np.array(params), np.array(params, np.float32)):
+        assert repr(tiepoint.Camera("PINHOLE", 640, 480, alike)) == repr(CAMERA)
+    models = [tiepoint.Reconstruction(str(workspace)) for _ in range(3)]
+    for model, refine in zip(models, ("focal,distortion", ["focal", "distortion"], ("focal",))):
+        tiepoint.bundle_adjust(
+            model, refine=refine, fixed_poses=(0, 1), focal_priors=[[0, 300.0, 50.0]]
+        )
+    assert (models[0].poses == models[1].poses).all()
+    assert tiepoint.model_info(str(workspace)) == tiepoint.model_info(workspace)
+    points, pose, (one, _) = scene(20)
+    poses = [np.eye(4)[:3].tolist(), pose.tolist()]
+    assert tiepoint.triangulate(one[:2].tolist(), poses, (CAMERA, CAMERA)) is None

@@ -9,10 +9,11 @@ they return the result of `--json` as a dictionary. `Reconstruction` holds a mod
 and `undistort` work on arrays.
 """
 
-from ._convert import to_pycolmap
+from ._convert import from_pycolmap, to_pycolmap
 from ._tiepoint import (
     Camera,
     Error,
+    Image,
     Reconstruction,
     UsageError,
     __version__,
@@ -38,6 +39,7 @@ globals().update(_FUNCTIONS)
 __all__ = [
     "Camera",
     "Error",
+    "Image",
     "Reconstruction",
     "UsageError",
     "__version__",
@@ -46,6 +48,7 @@ __all__ = [
     "bundle_adjust",
     "clock_offset",
     "commands",
+    "from_pycolmap",
     "fundamental",
     "generalized_absolute_pose",
     "homography",

@@ -1,6 +1,8 @@
-"""Conversion to pycolmap."""
+"""Conversion to and from pycolmap."""
 
 import tempfile
+
+from ._tiepoint import Reconstruction
 
 
 def to_pycolmap(reconstruction):
@@ -10,3 +12,10 @@ def to_pycolmap(reconstruction):
     with tempfile.TemporaryDirectory() as folder:
         reconstruction.write(folder)
         return pycolmap.Reconstruction(folder)
+
+
+def from_pycolmap(reconstruction):
+    """The model of a `pycolmap.Reconstruction`."""
+    with tempfile.TemporaryDirectory() as folder:
+        reconstruction.write(folder)
+        return Reconstruction(folder)

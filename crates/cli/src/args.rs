@@ -94,7 +94,8 @@ pub(crate) enum Command {
     Undistort(Undistort),
     /// Writes report.html, to look at a model in a browser.
     ///
-    /// Point clouds, cameras, rig and plots in one file that a browser shows offline.
+    /// Point clouds, cameras, rig and plots in one file that a browser shows offline. It is in the
+    /// workspace; that of another model is NAME.html in the current folder.
     View(View),
     /// Renders a drive of two cameras, or a collection of photos, with its truth.
     Synth(Synth),

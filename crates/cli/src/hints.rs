@@ -68,6 +68,11 @@ const COMMANDS: [(&str, &str, &str); 7] = [
     ("stage.match", "`tiepoint match`", "match_images"),
 ];
 
+/// A message of the libraries with the keywords and functions of the Python package.
+pub fn with_keywords(message: &str) -> String {
+    for_reader(message, Reader::Keywords).into_owned()
+}
+
 /// The message with the names that its reader knows.
 pub(crate) fn for_reader(message: &str, reader: Reader) -> Cow<'_, str> {
     let message = with_names(message, reader);

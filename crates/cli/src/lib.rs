@@ -29,6 +29,7 @@ use output::Output;
 
 pub use call::{Call, Failed};
 pub use describe::{ArgumentInfo, CommandInfo, commands};
+pub use hints::with_keywords;
 pub use message::Message;
 
 /// Exit code of failed work.

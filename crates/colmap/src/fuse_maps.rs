@@ -15,11 +15,16 @@ use tiepoint_pipeline::io::colmap::read_model;
 use tiepoint_pipeline::io::dense::{DenseMap, FusedPly, FusedVisibility};
 use tiepoint_pipeline::sfm::scene::{ImageId, Reconstruction};
 use tiepoint_pipeline::stages::DenseOptions;
-use tiepoint_pipeline::store::{Error as StoreError, OutputFolder, disk};
+use tiepoint_pipeline::store::{
+    Error as StoreError, Mark, OutputFolder, Replace, disk, may_be_replaced,
+};
 use tiepoint_pipeline::workspace::{DenseNames, MapKind, model_files, refuse_workspace};
 
 use super::dense_lists::read_fused;
 use super::patch_match::SPARSE;
+
+/// How clouds begin.
+const PLY: Mark = Mark::Start("ply");
 
 /// Options of [`fuse_depth_maps`].
 #[derive(Clone, Debug)]
@@ -77,11 +82,16 @@ pub fn fuse_depth_maps(
     if options.overwrite {
         folder.may_replace(&names);
     }
+    // The user named it, and can permit that it is replaced.
+    let named = |path| StoreError::NamedFile { path };
     folder.ensure_writable(names.iter().map(String::as_str)).map_err(|error| match error {
-        // The user named it, and can permit that it is replaced.
-        StoreError::ForeignFile { path } => StoreError::NamedFile { path },
+        StoreError::ForeignFile { path } => named(path),
         other => other,
     })?;
+    // The folder may hold results of other commands, as a model.
+    if !(options.overwrite || may_be_replaced(output, Replace::Marked(PLY))?) {
+        return Err(named(output.to_owned()).into());
+    }
     let mut visibility = FusedVisibility::create(&folder.stage(&names[0])?)?;
     let mut ply = FusedPly::create(&folder.stage(&names[1])?, maps.have_confidences)?;
     let take = |point: FusedPoint| -> Result<(), Error> {

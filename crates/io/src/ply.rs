@@ -23,6 +23,8 @@ pub struct Vertex {
 }
 
 const GREY: [u8; 3] = [128; 3];
+/// The first comment.
+const GENERATOR: &str = "tiepoint";
 /// Colour of camera centres.
 const RED: [u8; 3] = [255, 0, 0];
 /// Detail of a cloud that a file keeps, as a share of its size: a hundredth of a pixel in an image
@@ -51,7 +53,7 @@ pub fn camera_centres(model: &Reconstruction) -> Vec<Vertex> {
 ///
 /// If the file cannot be written.
 pub fn write(path: &Path, vertices: &[Vertex]) -> Result<()> {
-    write_with(path, vertices, "tiepoint", is_far_from_origin(vertices))
+    write_with(path, vertices, &[GENERATOR], is_far_from_origin(vertices))
 }
 
 /// Writes points whose coordinates are in a system, which a comment states, in double precision.
@@ -60,15 +62,14 @@ pub fn write(path: &Path, vertices: &[Vertex]) -> Result<()> {
 ///
 /// If the file cannot be written.
 pub fn write_in(path: &Path, vertices: &[Vertex], crs: Crs, has_heights: bool) -> Result<()> {
-    let comments = format!("tiepoint\ncomment {}", crs.in_words(has_heights));
-    write_with(path, vertices, &comments, true)
+    write_with(path, vertices, &[GENERATOR, &crs.in_words(has_heights)], true)
 }
 
-fn write_with(path: &Path, vertices: &[Vertex], comment: &str, is_double: bool) -> Result<()> {
+fn write_with(path: &Path, vertices: &[Vertex], comments: &[&str], is_double: bool) -> Result<()> {
     write_atomic(path, |file| {
         let count = vertices.len() as u64;
         let real = if is_double { "double" } else { "float" };
-        file.write_all(header(Some(comment), count, real, &["x", "y", "z"], &[]).as_bytes())?;
+        file.write_all(header(comments, count, real, &["x", "y", "z"], &[]).as_bytes())?;
         vertices.iter().try_for_each(|vertex| {
             vertex.xyz.iter().try_for_each(|value| match is_double {
                 true => file.write_all(&value.to_le_bytes()),
@@ -93,14 +94,14 @@ fn is_far_from_origin(vertices: &[Vertex]) -> bool {
 /// The header of a binary little-endian file of vertices: `before` of the type `real`, then red,
 /// green and blue, then `after` in single precision.
 pub(crate) fn header(
-    comment: Option<&str>,
+    comments: &[&str],
     count: u64,
     real: &str,
     before: &[&str],
     after: &[&str],
 ) -> String {
     let mut header = "ply\nformat binary_little_endian 1.0\n".to_owned();
-    if let Some(comment) = comment {
+    for comment in comments {
         header += &format!("comment {comment}\n");
     }
     header += &format!("element vertex {count}\n");

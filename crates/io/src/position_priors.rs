@@ -9,9 +9,9 @@ use std::path::Path;
 
 use tiepoint_geometry::nalgebra::Vector3;
 use tiepoint_scene::{Place, Position, PositionTrack};
-use tiepoint_store::AtomicFile;
 
 use crate::Result;
+use crate::atomic::write_atomic;
 use crate::text::excerpt::Excerpt;
 use crate::text::{Lines, Words};
 
@@ -149,8 +149,8 @@ pub fn read(path: &Path) -> Result<BTreeMap<String, Position>> {
     Ok(positions)
 }
 
-/// Writes places by the names of images, all of one kind, as [`read`] reads them, to a tenth of a
-/// millimetre.
+/// Writes places by the names of images, all of one kind, as [`read`] reads them: places on the
+/// earth to a tenth of a millimetre, Cartesian ones, whose unit may be any, with all their digits.
 ///
 /// # Errors
 ///
@@ -158,17 +158,16 @@ pub fn read(path: &Path) -> Result<BTreeMap<String, Position>> {
 pub fn write(path: &Path, places: &[(&str, Place)]) -> Result<()> {
     let is_geodetic = matches!(places.first(), Some((_, Place::Geodetic { .. })));
     let columns = if is_geodetic { "lat,lon,alt" } else { "x,y,z" };
-    let mut text = format!("{IMAGE},{columns}\n");
-    for (name, place) in places {
-        text += &match place {
+    write_atomic(path, |file| {
+        writeln!(file, "{IMAGE},{columns}")?;
+        places.iter().try_for_each(|(name, place)| match place {
             Place::Geodetic { latitude_deg, longitude_deg, altitude_m } => {
                 let altitude = altitude_m.map_or_else(String::new, |m| format!("{m:.4}"));
-                format!("{name},{latitude_deg:.9},{longitude_deg:.9},{altitude}\n")
+                writeln!(file, "{name},{latitude_deg:.9},{longitude_deg:.9},{altitude}")
             }
-            Place::Cartesian(xyz) => format!("{name},{:.4},{:.4},{:.4}\n", xyz.x, xyz.y, xyz.z),
-        };
-    }
-    Ok(AtomicFile::write_with(path, |out| out.write_all(text.as_bytes()))?)
+            Place::Cartesian(xyz) => writeln!(file, "{name},{},{},{}", xyz.x, xyz.y, xyz.z),
+        })
+    })
 }
 
 /// Reads a track: in each line the time in seconds, of any clock, comes first.

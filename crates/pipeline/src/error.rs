@@ -103,6 +103,20 @@ pub enum Error {
         /// The reason.
         cause: tiepoint_dense::Error,
     },
+    /// A workspace was not mapped, or without success.
+    #[error("{path} is a workspace that holds no COLMAP model: run `stage.map` first")]
+    NoModelYet {
+        /// The workspace.
+        path: PathBuf,
+    },
+    /// A folder has a folder for each model.
+    #[error("{path} holds no COLMAP model, but one in each of its folders: give one, as {model}")]
+    SeveralModels {
+        /// The folder.
+        path: PathBuf,
+        /// The first model.
+        model: PathBuf,
+    },
     /// The models were computed from features or matches that have been replaced.
     #[error(
         "the models in {path} were made before its current features or matches: run `stage.map` \
@@ -157,6 +171,15 @@ pub enum Error {
     NoPoses {
         /// The file.
         path: PathBuf,
+    },
+    /// `--rigid` was given with a format on the earth.
+    #[error(
+        "exact rig extrinsics move the cameras of {model} and leave its frame on the earth: leave \
+        out `export.rigid`"
+    )]
+    RigidHasNoPlace {
+        /// The model.
+        model: PathBuf,
     },
     /// The stage on disk was computed from another input or with other options.
     #[error(
@@ -676,6 +699,15 @@ pub enum Error {
     TurnedInPlace {
         /// The photo.
         path: PathBuf,
+    },
+    /// A page would be written among the files of a model.
+    #[error(
+        "the page would be among the files of the model in {model}: run this in another folder, \
+        which gets it"
+    )]
+    PageInModel {
+        /// The folder of the model.
+        model: PathBuf,
     },
     /// A model would be written among the files of a workspace.
     #[error("{path} is a workspace, which has its models in sparse: give another folder")]

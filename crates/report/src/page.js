@@ -84,7 +84,7 @@ function showPhoto(section, photos, image) {
       element('strong', {}, image.name),
       button('◀', 'previous image', step(-1)),
       button('▶', 'next image', step(1)),
-      button('look through', 'the view of this camera', () => lookThrough(section, image)),
+      button('look through', 'look through this camera', () => lookThrough(section, image)),
       button('✕', 'close', () => showPhoto(section, photos, null)),
     ),
     canvas,
@@ -167,7 +167,7 @@ function column(section, model, isAlone) {
       element('img', { src: `data:image/png;base64,${png}`, alt: `depth map of ${name}` }),
     );
   const denseView = () => [
-    element('h3', {}, 'Dense cloud'),
+    element(isAlone ? 'h2' : 'h3', {}, 'Dense cloud'),
     place({ ...model, ...dense, name: 'the dense cloud', trajectory: null }),
     element(
       'p',
@@ -261,6 +261,7 @@ for (const { heading, note, alerts, tables, models } of data.sections) {
     ...(compared.length ? [comparison(compared)] : []),
     ...(isAlone ? [] : [...shownTables, ...views]),
     place,
+    ...(isAlone && !heading ? [element('h2', {}, 'Plots')] : []),
     ...(isAlone ? [columns[0].plots] : []),
   );
   if (section && section.views.length) reset(section);

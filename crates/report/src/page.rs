@@ -8,8 +8,9 @@
 //! the points lie within a distance of 1 of the median. Models with a known world frame share one
 //! view frame, so that they can be compared.
 
+use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 
 use serde::Serialize;
 use tiepoint_pipeline::eval::geometry::nalgebra::{Vector2, Vector3};
@@ -19,7 +20,7 @@ use tiepoint_pipeline::evaluation::evaluate_rig;
 use tiepoint_pipeline::input::SkippedImage;
 use tiepoint_pipeline::sfm::scene::{CameraId, ImageId, Reconstruction};
 use tiepoint_pipeline::workspace::{
-    LocatedModel, ModelReport, REPORT, RIG, RigFile, UnregisteredImage, verdict,
+    LocatedModel, ModelReport, REPORT, RIG, RigFile, SPARSE, UnregisteredImage, model_path, verdict,
 };
 use tiepoint_pipeline::{Error, Report};
 
@@ -290,53 +291,114 @@ fn describe_section<'a>(
     Section { heading, note, alerts, tables, models: models.collect() }
 }
 
-/// Writes `report.html` for a model into a folder. If that is the workspace of the model, the page
+/// Writes the page of a model. That of a workspace's model is `report.html` in the workspace: it
 /// has the other models of the workspace, too, small copies of the photos, the images without a
-/// pose, and the texts of `report.json` and `rig.json`. `shown` gives a warning the names of
-/// options that its readers know. Returns the path of the page.
+/// pose, and the texts of `report.json` and `rig.json`. That of another model is `NAME.html` in the
+/// folder `elsewhere`, since the folder of the model is its owner's. `shown` gives a warning the
+/// names of options that its readers know. Returns the path of the page.
 ///
 /// # Errors
 ///
-/// A file beside the model cannot be read, or the page cannot be written.
+/// A file beside the model cannot be read, `elsewhere` is the folder of the model, or the page
+/// cannot be written.
 pub fn view(
     located: &LocatedModel,
-    path: &Path,
+    elsewhere: &Path,
     shown: &dyn Fn(&str) -> String,
 ) -> Result<PathBuf, Error> {
-    refuse_foreign_page(&path.join(PAGE))?;
-    let report = path.join(REPORT);
-    let report = if report.is_file() { Some(Report::read(&report)?) } else { None };
-    let cloud = located.workspace().zip(located.dense_cloud());
+    let Some((root, report)) = workspace_of(located)? else {
+        let folder = located.folder();
+        if is_same(elsewhere, folder) {
+            return Err(Error::PageInModel { model: folder.to_owned() });
+        }
+        let name = name_of(folder);
+        let page = elsewhere.join(format!("{name}.html"));
+        return write_view(located, &name, None, &page, shown);
+    };
+    let name = root.file_name().map_or_else(|| "model".into(), |name| name.to_string_lossy());
+    let page = root.join(PAGE);
+    // The page shows all models, the largest one first, whichever is asked for.
+    let (workspace, largest) = (Some((root, report.as_ref())), root.join(model_path(0)));
+    match is_same(&largest, located.folder()) {
+        true => write_view(located, &name, workspace, &page, shown),
+        false => write_view(&LocatedModel::open(&largest)?, &name, workspace, &page, shown),
+    }
+}
+
+fn is_same(a: &Path, b: &Path) -> bool {
+    a.canonicalize().ok().zip(b.canonicalize().ok()).is_some_and(|(a, b)| a == b)
+}
+
+/// The workspace that made a model, and its report. One that another program put there is not the
+/// workspace's.
+///
+/// # Errors
+///
+/// The report cannot be read.
+fn workspace_of(located: &LocatedModel) -> Result<Option<(&Path, Option<Report>)>, Error> {
+    let Some(root) = located.workspace() else { return Ok(None) };
+    let file = root.join(REPORT);
+    let report = if file.is_file() { Some(Report::read(&file)?) } else { None };
+    let others = report.iter().flat_map(|report| &report.models).map(|model| model.path.clone());
+    let mut own = others.chain([model_path(0)]);
+    let is_own = own.any(|path| is_same(&root.join(path), located.folder()));
+    Ok(is_own.then_some((root, report)))
+}
+
+/// The name of a model that is in no workspace: that of its folder, or of COLMAP's project folder
+/// in `PROJECT/sparse/0`.
+fn name_of(folder: &Path) -> String {
+    let folder = folder.canonicalize().unwrap_or_else(|_| folder.to_owned());
+    let mut names = folder.components().rev().filter_map(|part| match part {
+        Component::Normal(name) => Some(name.to_string_lossy()),
+        _ => None,
+    });
+    let is_name = |name: &Cow<str>| name != SPARSE && name.parse::<u64>().is_err();
+    names.find(is_name).map_or_else(|| "model".to_owned(), Cow::into_owned)
+}
+
+/// Writes the page of a model, or that of a workspace whose largest model it is.
+fn write_view(
+    located: &LocatedModel,
+    name: &str,
+    workspace: Option<(&Path, Option<&Report>)>,
+    page: &Path,
+    shown: &dyn Fn(&str) -> String,
+) -> Result<PathBuf, Error> {
+    refuse_foreign_page(page)?;
+    let (root, report) = workspace.unzip();
+    let report = report.flatten();
+    let cloud = root.zip(located.dense_cloud());
     let dense = cloud
         .map(|(root, cloud)| DenseView::read(&cloud, root, &located.reconstruction))
         .transpose()?;
-    let name = path.file_name().map_or_else(|| "model".into(), |name| name.to_string_lossy());
     let mut reports = report.iter().flat_map(|report| &report.models);
     let first = reports.next();
     // Another model may have been deleted since.
     let others = reports
-        .filter_map(|other| Some((LocatedModel::open(&path.join(&other.path)).ok()?, other)));
+        .filter_map(|other| Some((LocatedModel::open(&root?.join(&other.path)).ok()?, other)));
     let others: Vec<(LocatedModel, &ModelReport)> = others.collect();
     let models: Vec<(&LocatedModel, Option<&ModelReport>)> = std::iter::once((located, first))
         .chain(others.iter().map(|(other, report)| (other, Some(*report))))
         .collect();
     let photos = models.iter().map(|(one, _)| {
-        Thumbnails::of_workspace(path, &one.reconstruction, Thumbnails::MAX_BYTES / models.len())
+        let max_bytes = Thumbnails::MAX_BYTES / models.len();
+        root.map(|root| Thumbnails::of_workspace(root, &one.reconstruction, max_bytes))
     });
-    let photos: Vec<Thumbnails> = photos.collect();
+    let photos: Vec<Option<Thumbnails>> = photos.collect();
     let report_models = models.iter().zip(&photos).enumerate().map(|(k, ((one, of), photos))| {
         let scale = of.and_then(|model| model.scale.as_ref());
         ReportModel {
-            name: of.map_or(&name, |model| &model.path),
+            name: of.map_or(name, |model| &model.path),
             model: &one.reconstruction,
             rig: one.rig.as_ref(),
             // A model that was scaled is in metres.
             world_from_model: scale.and_then(|scale| scale.factor).map(|_| Sim3::identity()),
-            report: report.as_ref().filter(|_| k == 0),
+            report: report.filter(|_| k == 0),
             camera_errors: &[],
             cloud_errors: &[],
             dense: dense.as_ref().filter(|_| k == 0),
-            photos: Some(photos),
+            photos: photos.as_ref(),
         }
     });
     let report_models: Vec<ReportModel> = report_models.collect();
@@ -349,7 +411,7 @@ pub fn view(
     let headings: Vec<String> = report_models.iter().map(heading).collect();
     let warnings = report.iter().flat_map(|report| &report.warnings);
     let alerts: Vec<String> = warnings.map(|warning| shown(&warning.to_string())).collect();
-    let note = report.as_ref().map(|report| note(&verdict(report))).unwrap_or_default();
+    let note = report.map(|report| note(&verdict(report))).unwrap_or_default();
     let section = |k: usize| ReportSection {
         heading: &headings[k],
         note: if k == 0 { &note } else { "" },
@@ -358,20 +420,19 @@ pub fn view(
         models: &report_models[k..=k],
     };
     let mut sections: Vec<ReportSection> = (0..report_models.len()).map(section).collect();
-    let map = report.as_ref().and_then(|report| report.stages.map.as_ref());
+    let map = report.and_then(|report| report.stages.map.as_ref());
     let missing = map.map(|map| [missing(&map.unregistered)]);
     if let Some(tables) = missing.as_ref().filter(|[table]| !table.rows.is_empty()) {
         sections.push(ReportSection { tables, ..ReportSection::default() });
     }
-    let features = report.as_ref().and_then(|report| report.stages.features.as_ref());
+    let features = report.and_then(|report| report.stages.features.as_ref());
     let left_out = features.map(|features| [left_out(&features.skipped)]);
     if let Some(tables) = left_out.as_ref().filter(|[table]| !table.rows.is_empty()) {
         sections.push(ReportSection { tables, ..ReportSection::default() });
     }
-    let html = report_html(&format!("tiepoint: {name}"), &sections, texts(path));
-    let file = path.join(PAGE);
-    write_page(&file, &html)?;
-    Ok(file)
+    let texts = root.map(texts).unwrap_or_default();
+    write_page(page, &report_html(&format!("tiepoint: {name}"), &sections, texts))?;
+    Ok(page.to_owned())
 }
 
 /// The texts of `rig.json` and `report.json`.

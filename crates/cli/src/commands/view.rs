@@ -15,8 +15,8 @@ pub(crate) fn view(args: &View, output: &Output) -> Result<(), Failure> {
     }
     let model = open_model(&args.workspace, output)?;
     let shown = |text: &str| output.for_reader(text).into_owned();
-    let written = Written { report: write_report(&model, &args.workspace, &shown)? };
     // A browser has another working folder.
-    let page = std::path::absolute(&written.report).unwrap_or_else(|_| written.report.clone());
-    output.result(&written, || format!("open in a browser: {}\n", page.display()))
+    let here = std::env::current_dir()?;
+    let written = Written { report: write_report(&model, &here, &shown)? };
+    output.result(&written, || format!("open in a browser: {}\n", written.report.display()))
 }

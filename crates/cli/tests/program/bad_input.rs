@@ -48,7 +48,9 @@ fn truncated_photos_and_other_files_are_skipped() {
     let folder = dir.path().join("photos");
     photos::write(&folder, 4, 0);
     let mut bytes = std::io::Cursor::new(Vec::new());
-    DynamicImage::from(photos::photo(4, 0)).write_to(&mut bytes, ImageFormat::Jpeg).unwrap();
+    // Of a size, and so of a camera, of its own.
+    let cropped = DynamicImage::from(photos::photo(4, 0)).crop_imm(0, 0, 320, 200);
+    cropped.write_to(&mut bytes, ImageFormat::Jpeg).unwrap();
     let bytes = bytes.into_inner();
     fs::write(folder.join("4.jpg"), &bytes[..bytes.len() / 2]).unwrap();
     fs::write(folder.join("5.jpg"), "these are words").unwrap();
@@ -68,6 +70,9 @@ fn truncated_photos_and_other_files_are_skipped() {
     let report: serde_json::Value = serde_json::from_slice(&report).unwrap();
     let skipped = report["stages"]["features"]["skipped"].as_array().unwrap();
     assert_eq!(skipped.len(), 2);
+    // Nor has a photo a camera that is not read.
+    let cameras = report["stages"]["features"]["cameras"].as_array().unwrap();
+    assert_eq!((cameras.len(), run.stdout().contains("cameras")), (1, false), "{}", run.stdout());
     assert_eq!(report["models"][0]["registered"], 4);
 }
 

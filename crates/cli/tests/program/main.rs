@@ -37,19 +37,23 @@ use std::process::{Command, Output};
 
 use serde_json::Value;
 
-/// Runs the program with these arguments.
-fn tiepoint<S: AsRef<OsStr>>(arguments: impl IntoIterator<Item = S>) -> Run {
-    let output = Command::new(env!("CARGO_BIN_EXE_tiepoint"))
-        .args(arguments)
-        .output()
-        .expect("the program starts");
-    Run(output)
+/// The program with these arguments.
+fn command<S: AsRef<OsStr>>(arguments: impl IntoIterator<Item = S>) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_tiepoint"));
+    command.args(arguments);
+    command
 }
 
-/// Runs a command line of words; `{}` stands for the folder.
+/// Runs the program with these arguments.
+fn tiepoint<S: AsRef<OsStr>>(arguments: impl IntoIterator<Item = S>) -> Run {
+    Run(command(arguments).output().expect("the program starts"))
+}
+
+/// Runs a command line of words in a folder, which `{}` stands for.
 fn tiepoint_in(dir: &Path, line: &str) -> Run {
-    let dir = dir.to_str().expect("a temporary folder has a plain name");
-    tiepoint(line.split_whitespace().map(|word| word.replace("{}", dir)))
+    let name = dir.to_str().expect("a temporary folder has a plain name");
+    let mut command = command(line.split_whitespace().map(|word| word.replace("{}", name)));
+    Run(command.current_dir(dir).output().expect("the program starts"))
 }
 
 /// The exit code and the output of a run.

@@ -126,7 +126,8 @@ fn files_of_others_in_a_workspace_are_refused_by_name() {
     refused("view {}/ws", "report.html");
     fs::remove_file(dir.join("ws/report.html")).unwrap();
     tiepoint_in(dir, "view {}/ws").done();
-    tiepoint_in(dir, "view {}/ws").done();
+    tiepoint_in(dir, "view {}/ws/sparse/0").done();
+    assert!(dir.join("ws/report.html").is_file() && !dir.join("ws/sparse/0/report.html").exists());
     let times = fs::read(dir.join("ws/timestamps.csv")).unwrap();
     put("timestamps.csv");
     refused("features {}/photos -o {}/ws --redo features", "timestamps.csv");
@@ -226,6 +227,18 @@ fn foreign_results_are_kept_and_own_ones_replaced() {
         tiepoint_in(dir, line).failed(1, &["model/cameras.txt", "did not make it"]);
     }
     assert_eq!(fs::read(dir.join("model/cameras.txt")).unwrap(), b"mine");
+    // A model of another program gets no page among its files.
+    fs::create_dir(dir.join("colmap")).unwrap();
+    tiepoint_in(dir, "export {}/ws --to colmap -o {}/colmap/sparse/0").done();
+    let before = files(&dir.join("colmap"));
+    let line = "view {}/colmap/sparse/0 --json";
+    let page = tiepoint_in(dir, line).done().json()["report"].as_str().unwrap().to_owned();
+    assert_eq!(fs::canonicalize(page).unwrap(), dir.join("colmap.html").canonicalize().unwrap());
+    tiepoint_in(dir, line).done();
+    fs::write(dir.join("colmap.html"), "mine").unwrap();
+    tiepoint_in(dir, "view {}/colmap").failed(1, &["colmap.html", "did not make it"]);
+    tiepoint_in(&dir.join("colmap/sparse/0"), "view .").failed(1, &["run this in another folder"]);
+    assert!(files(&dir.join("colmap")) == before);
     fs::write(dir.join("report.html"), "mine").unwrap();
     tiepoint_in(dir, "demo -o {} --frames 2 --size 64x48")
         .failed(1, &["report.html", "did not make it"]);
@@ -285,7 +298,7 @@ const COLMAP_READ: [&str; 22] = [
     "path",
 ];
 /// Command lines that write the file `<>`.
-const FILES: [&str; 14] = [
+const FILES: [&str; 15] = [
     "export {}/ws --to bal -o <>",
     "export {}/ws --to ply -o <>",
     "export {}/ws --to gltf -o <>",
@@ -302,6 +315,7 @@ const FILES: [&str; 14] = [
     "colmap feature_extractor --image_path {}/photos --database_path <>",
     "colmap exhaustive_matcher --database_path <>",
     "colmap mapper --image_path {}/photos --database_path <> --output_path {}/mapped",
+    "colmap stereo_fusion --workspace_path {}/dense --output_path <>",
 ];
 
 #[test]
@@ -337,6 +351,12 @@ fn no_command_replaces_a_file_that_it_reads_or_did_not_make() {
     reconstructed(dir, "photos");
     tiepoint_in(dir, "export {}/ws --to colmap -o {}/model").done();
     tiepoint_in(dir, "export {}/ws --to bal -o {}/bal.txt").done();
+    let undistorter = "colmap image_undistorter --image_path {}/photos --input_path {}/model \
+                       --output_path {}/dense";
+    tiepoint_in(dir, undistorter).done();
+    let stereo = "colmap patch_match_stereo --workspace_path {}/dense \
+                  --PatchMatchStereo.max_image_size 64";
+    tiepoint_in(dir, stereo).done();
     let positions: String = (0..COUNT).map(|i| format!("{i}.png {i} {} 0\n", i * i)).collect();
     fs::write(dir.join("positions.txt"), positions).unwrap();
     fs::write(dir.join("mine"), "mine").unwrap();
@@ -350,6 +370,8 @@ fn no_command_replaces_a_file_that_it_reads_or_did_not_make() {
             "positions.txt",
             "bal.txt",
             "ws/sparse/0/images.bin",
+            "dense/sparse/images.bin",
+            "dense/stereo/depth_maps/0.png.geometric.bin",
         ];
         for target in targets {
             let run = tiepoint_in(dir, &line.replace("<>", &format!("{{}}/{target}")));
@@ -379,6 +401,7 @@ fn no_command_replaces_a_file_that_it_reads_or_did_not_make() {
         let input = match line.split_once("/bal.txt") {
             Some(_) => "bal.txt",
             None if line.contains("/model ") => "model/points3D.bin",
+            None if line.contains("/dense ") => "dense/stereo/depth_maps/0.png.geometric.bin",
             None => "ws/sparse/0/images.bin",
         };
         let onto_input = line.replace("<>", &format!("{{}}/{input}"));

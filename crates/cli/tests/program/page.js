@@ -85,6 +85,16 @@ addEventListener('load', async () => {
   found.zooms = Math.abs(distance() / far - 0.9) < 1e-6;
   const named = element =>
     element.getAttribute('aria-label') || element.textContent.trim() || element.closest('label');
+  // The name of a button has its words, and headings leave out no level.
+  found.misnamed = [...document.querySelectorAll('button[aria-label]')]
+    .filter(({ textContent }) => /[a-z]/.test(textContent))
+    .filter(button => !button.getAttribute('aria-label').includes(button.textContent))
+    .map(({ outerHTML }) => outerHTML);
+  const headings = [...document.querySelectorAll('h1, h2, h3')];
+  const levels = [0, ...headings.map(({ tagName }) => Number(tagName[1]))];
+  found.skipping = headings
+    .filter((_, k) => levels[k + 1] > levels[k] + 1)
+    .map(({ outerHTML }) => outerHTML);
   found.unnamed = [...document.querySelectorAll('canvas, .plots svg, button, select, input, th')]
     .filter(element => !named(element))
     .map(element => element.outerHTML.slice(0, 80));

@@ -107,7 +107,9 @@ fn a_browser_draws_the_page_and_shows_the_photo_of_a_clicked_camera() {
         assert_eq!(found[word], true, "{word}: {found}");
     }
     assert!(found["eye"].as_f64().unwrap() < 1e-6, "looks through the camera: {found}");
-    assert_eq!(found["unnamed"], serde_json::json!([]));
+    for wrong in ["unnamed", "misnamed", "skipping"] {
+        assert_eq!(found[wrong], serde_json::json!([]), "{wrong}");
+    }
     assert_eq!(found["legend"], format!("camera 1: {COUNT} images"));
     assert!(found["bar"].as_str().unwrap().contains(" unit"), "{found}");
     let axes = ["axes", "ticks"].map(|name| found[name].as_array().unwrap().clone()).concat();

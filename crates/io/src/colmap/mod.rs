@@ -175,8 +175,8 @@ pub fn read_model(dir: &Path) -> Result<Reconstruction> {
             fs::read_dir(dir).map_err(Error::io(dir))?;
             return Err(Error::content(
                 dir,
-                "holds no COLMAP model: cameras, images and points3D must be there, all as .bin \
-                or all as .txt",
+                "holds no COLMAP model: give a folder with cameras, images and points3D, all as \
+                .bin or all as .txt",
             ));
         }
     };

@@ -55,7 +55,7 @@ impl FusedPly {
     pub fn finish(self) -> Result<u64> {
         let count = self.file.count;
         let after: &[&str] = if self.has_confidence { &["confidence"] } else { &[] };
-        let header = header(None, count, "float", &["x", "y", "z", "nx", "ny", "nz"], after);
+        let header = header(&[], count, "float", &["x", "y", "z", "nx", "ny", "nz"], after);
         self.file.finish(header.as_bytes())?;
         Ok(count)
     }

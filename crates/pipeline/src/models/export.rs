@@ -170,7 +170,8 @@ pub fn export(from: &ExportSource, format: ExportFormat, to: &Path) -> Result<Ex
 ///
 /// # Errors
 ///
-/// Those of [`export`]; no two cameras have poses at common frames; the format has no poses.
+/// Those of [`export`]; no two cameras have poses at common frames; the format has no poses, or has
+/// them on the earth.
 pub fn export_rigid(
     from: &ExportSource,
     format: ExportFormat,
@@ -178,6 +179,9 @@ pub fn export_rigid(
 ) -> Result<Exported, Error> {
     if matches!(format, ExportFormat::Kalibr | ExportFormat::Las) {
         return Err(Error::NoPoses { path: to.to_owned() });
+    }
+    if matches!(format, ExportFormat::GeoJson | ExportFormat::Gpx) {
+        return Err(Error::RigidHasNoPlace { model: from.model.folder().to_owned() });
     }
     let (model, rigid) = rigid_model(from.model)?;
     let from = ExportSource { model: &from.model.changed(model), ..*from };

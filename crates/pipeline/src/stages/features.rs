@@ -1,6 +1,6 @@
 //! Stage 1: extracts keypoints and descriptors of every image into the database.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
 use std::io::Read;
 use std::path::{Path, PathBuf};
@@ -306,6 +306,9 @@ impl<'a> Survey<'a> {
         let taken = of_tiles.and_then(|()| {
             self.for_each_features(&tasks, options, |id, _, found| take(&mut counts, id, found))
         });
+        // A photo that cannot be decoded has no camera to report.
+        let read = self.usable.iter().zip(&counts).filter(|(_, count)| count.is_some());
+        let cameras: BTreeSet<usize> = read.map(|(photo, _)| photo.camera).collect();
         let found: Vec<usize> = counts.into_iter().flatten().collect();
         if taken.is_err() || found.len() < 2 {
             database.close()?;
@@ -316,16 +319,15 @@ impl<'a> Survey<'a> {
         let fingerprints = self.photos.fingerprints(&self.usable);
         let fingerprints = fingerprints.iter().map(|(name, text)| (*name, text.as_str()));
         database.write_photo_fingerprints(fingerprints)?;
-        let cameras = self.cameras.iter().enumerate();
+        let camera =
+            |index: usize| CameraReport::new(CameraId::from_index(index), &self.cameras[index]);
         let report = FeaturesReport {
             seconds: 0.0,
             images: found.len(),
             keypoints: found.iter().sum(),
             skipped,
             notes,
-            cameras: cameras
-                .map(|(index, camera)| CameraReport::new(CameraId::from_index(index), camera))
-                .collect(),
+            cameras: cameras.into_iter().map(camera).collect(),
         };
         Ok(StageResult::features(database, report))
     }

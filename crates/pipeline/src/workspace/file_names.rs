@@ -5,7 +5,7 @@ pub const RIG: &str = "rig.json";
 /// Where the frame of the models is, if positions told.
 pub(crate) const GEOREFERENCE: &str = "georeference.json";
 /// Folder of the models.
-pub(crate) const SPARSE: &str = "sparse";
+pub const SPARSE: &str = "sparse";
 
 /// Folder of the dense workspace.
 pub(crate) const DENSE: &str = "dense";
@@ -13,7 +13,7 @@ pub(crate) const DENSE: &str = "dense";
 pub(crate) const DENSE_CLOUD: &str = "dense/fused.ply";
 
 /// The folder of a model, relative to the workspace.
-pub(crate) fn model_path(index: usize) -> String {
+pub fn model_path(index: usize) -> String {
     format!("{SPARSE}/{index}")
 }
 

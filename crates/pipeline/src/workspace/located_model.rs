@@ -203,8 +203,9 @@ fn root_of(folder: &Path) -> PathBuf {
 ///
 /// # Errors
 ///
-/// An interrupted run left its results half in place, or the models of the workspace were computed
-/// from features or matches that have been replaced.
+/// An interrupted run left its results half in place, the models of the workspace were computed
+/// from features or matches that have been replaced, or it has none yet; the folder has several
+/// models.
 pub fn model_folder(path: &Path) -> Result<PathBuf, Error> {
     if OutputFolder::is_unfinished(path) {
         return Err(StoreError::Unfinished { path: path.to_owned() }.into());
@@ -215,8 +216,18 @@ pub fn model_folder(path: &Path) -> Result<PathBuf, Error> {
         let is_model = |folder: &Path| {
             ["cameras.bin", "cameras.txt"].iter().any(|name| folder.join(name).is_file())
         };
-        let only = path.join("sparse");
-        return Ok(if is_model(&only) && !is_model(path) { only } else { path.to_owned() });
+        if is_model(path) {
+            return Ok(path.to_owned());
+        }
+        let (only, first) = (path.join("sparse"), path.join("0"));
+        return match () {
+            () if is_model(&only) => Ok(only),
+            () if is_model(&first) => {
+                Err(Error::SeveralModels { path: path.to_owned(), model: first })
+            }
+            () if is_workspace(path) => Err(Error::NoModelYet { path: path.to_owned() }),
+            () => Ok(path.to_owned()),
+        };
     }
     if is_workspace(path) && !current_records(path)?.is_complete(Stage::Map) {
         return Err(Error::StaleModels { path: path.to_owned() });

@@ -28,7 +28,7 @@ pub use control_report::{ControlPointReport, ControlReport, PointStatistics};
 pub use database_scene::read_scene;
 pub use dense_names::{DenseNames, MapKind, depth_map_path};
 pub use file_marks::PLY_MARK;
-pub use file_names::RIG;
+pub use file_names::{RIG, SPARSE, model_path};
 pub use folder::{REPORT, Workspace, refuse_workspace};
 pub use located_model::{LocatedModel, model_folder};
 pub use model_output::{model_files, model_names, stage_model, write_model};

@@ -188,6 +188,22 @@ impl Pair {
         self.residual(similarity).component_div(&self.sigmas).norm()
     }
 
+    /// The residual in deviations, and its derivative by translation, rotation about `middle` and
+    /// logarithm of the scale ([`updated`]).
+    pub(super) fn linearised(
+        &self,
+        similarity: &Sim3,
+        middle: &Vector3<f64>,
+    ) -> (Vector3<f64>, SMatrix<f64, 3, 7>) {
+        let lever = *similarity * self.found - middle;
+        let mut jacobian = SMatrix::<f64, 3, 7>::zeros();
+        jacobian.fixed_view_mut::<3, 3>(0, 0).copy_from(&Matrix3::identity());
+        jacobian.fixed_view_mut::<3, 3>(0, 3).copy_from(&-lever.cross_matrix());
+        jacobian.set_column(6, &lever);
+        let whitening = Matrix3::from_diagonal(&self.sigmas.map(f64::recip));
+        (whitening * self.residual(similarity), whitening * jacobian)
+    }
+
     fn has_height(&self) -> bool {
         self.sigmas.z.is_finite()
     }
@@ -240,20 +256,20 @@ pub fn align(
         for _ in 0..2 {
             let sigmas = deviations(&pairs, &similarity);
             pairs.iter_mut().for_each(|pair| pair.set_sigmas(sigmas));
-            similarity = refined(&pairs, similarity, &free).0;
+            similarity = refined(&pairs, similarity, &free, LOSS).0;
         }
     }
     if has_heights && is_on_a_line(&pairs, &similarity) {
         for _ in 0..2 {
             let line = line(&pairs, &similarity);
             free = Free::new(&(Matrix3::identity() - about(&line)), keeps_scale, true);
-            let fit = refined(&pairs, similarity, &free);
+            let fit = refined(&pairs, similarity, &free, LOSS);
             precision(&pairs, &fit)?;
             let (roll, sd_rad) = rolled(&pairs, &fit.0)?;
             (similarity, level_sd_rad) = (roll * fit.0, Some(sd_rad));
         }
     }
-    let mut fit = refined(&pairs, similarity, &free);
+    let mut fit = refined(&pairs, similarity, &free, LOSS);
     if !has_heights {
         fit.0 = at_mean_height(&pairs, fit.0);
     }
@@ -520,13 +536,14 @@ fn about(direction: &Vector3<f64>) -> Matrix3<f64> {
     direction * direction.transpose()
 }
 
-/// Minimises the robust residuals by Gauss-Newton. Also returns the variances of translation,
+/// Minimises the loss of the residuals by Gauss-Newton. Also returns the variances of translation,
 /// rotation and logarithm of the scale for residuals of their standard deviations: 0 in the
 /// directions that are not free.
 pub(super) fn refined(
     pairs: &[Pair],
     mut similarity: Sim3,
     Free(free): &Free,
+    loss: Loss,
 ) -> (Sim3, SVector<f64, 7>) {
     let centre = pairs.iter().map(|pair| pair.found).sum::<Vector3<f64>>() / pairs.len() as f64;
     let mut variances = SVector::repeat(f64::INFINITY);
@@ -537,15 +554,9 @@ pub(super) fn refined(
         let mut information = SMatrix::<f64, 7, 7>::zeros();
         let mut gradient = SVector::<f64, 7>::zeros();
         for pair in pairs {
-            let lever = similarity * pair.found - middle;
-            let mut jacobian = SMatrix::<f64, 3, 7>::zeros();
-            jacobian.fixed_view_mut::<3, 3>(0, 0).copy_from(&Matrix3::identity());
-            jacobian.fixed_view_mut::<3, 3>(0, 3).copy_from(&-lever.cross_matrix());
-            jacobian.set_column(6, &lever);
-            let whitened = Matrix3::from_diagonal(&pair.sigmas.map(f64::recip));
-            let jacobian = whitened * jacobian * free;
-            let residual = whitened * pair.residual(&similarity);
-            let [_, weight, _] = LOSS.evaluate(residual.norm_squared() / (factor * factor));
+            let (residual, jacobian) = pair.linearised(&similarity, &middle);
+            let jacobian = jacobian * free;
+            let [_, weight, _] = loss.evaluate(residual.norm_squared() / (factor * factor));
             information += weight * jacobian.tr_mul(&jacobian);
             gradient += weight * jacobian.tr_mul(&residual);
         }

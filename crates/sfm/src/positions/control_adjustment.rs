@@ -15,35 +15,23 @@ use std::ops::ControlFlow;
 use tiepoint_adjust::{AdjustOptions, Error, Scope, Term, adjust, build_problem};
 use tiepoint_ba::{AnyKey, IterationRecord, Key, Summary};
 use tiepoint_geometry::Sim3;
-use tiepoint_geometry::nalgebra::{DMatrix, Matrix3, Vector3};
-use tiepoint_geometry::numeric::median;
+use tiepoint_geometry::nalgebra::{DMatrix, Vector3};
 use tiepoint_scene::Reconstruction;
 
-use super::alignment::{Free, Pair, axes_of, is_upside_down, refined, scale_of_residuals, spatial};
-use super::control_points::{
-    ControlMisfit, Found, MAX_SD, MIN_POINTS, MarkedPoint, PointError, errors, places, sigmas,
-};
+use super::alignment::scale_of_residuals;
+use super::control_alignment::{MAX_RIGHT, MIN_POINTS, determined, fitting};
+use super::control_points::{Found, MarkedPoint, PointError, errors, places};
 use super::control_term::{ControlLandmark, ControlTerm};
 use super::redundancy::Redundancy;
 use crate::terms::with_terms;
 use crate::tracks::{filter_images, without_points_at_infinity};
 
-/// Samples of three points for the start. With half of all points wrong, all of 100 contain a wrong
-/// one with a probability of 0.875¹⁰⁰ = 2e-6.
-const NUM_SAMPLES: usize = 100;
-/// Largest residuals at the start, relative to the extent of the points: an unknown lens bends
-/// models by hundredths. Points with swapped coordinates or of other places are off by their
-/// extent.
-const MAX_BENDING: f64 = 0.1;
 /// Scale of the loss in the last robust adjustment, in standard deviations: two thirds of
 /// [`MAX_RIGHT`], so that a point at that limit has a third of its weight.
 const LOSS_SCALE: f64 = 2.7;
 /// From one robust adjustment to the next the scale of the loss shrinks by this factor: a choice.
 /// With 2 there are twice as many adjustments.
 const SHRINKAGE: f64 = 4.0;
-/// Norm of a point's residual, in standard deviations, that one right point in a thousand exceeds:
-/// the root of the 99.9 % quantile of χ² with three degrees of freedom.
-const MAX_RIGHT: f64 = 4.03;
 /// Fewest points that determine the pose of an image. One that they do not determine would leave
 /// the whole information matrix singular.
 const MIN_IMAGE_POINTS: usize = 3;
@@ -60,80 +48,7 @@ pub struct ControlAdjustment {
     pub points: Vec<PointError>,
 }
 
-/// The similarity that brings a model, which may be bent, near to the measured coordinates of
-/// marked points, of which up to half may be wrong. With `keeps_scale` its scale is 1.
-///
-/// # Errors
-///
-/// The points do not determine it.
-pub fn first_similarity_to_points(
-    model: &Reconstruction,
-    points: &[MarkedPoint],
-    keeps_scale: bool,
-) -> Result<Sim3, ControlMisfit> {
-    let found = places(model, points);
-    let used: Vec<(&MarkedPoint, &Found)> = points
-        .iter()
-        .zip(&found)
-        .filter(|(point, _)| !point.is_check)
-        .filter_map(|(point, found)| Some((point, found.as_ref()?)))
-        .collect();
-    let usable = used.len();
-    if usable < MIN_POINTS {
-        return Err(ControlMisfit::TooFew { usable });
-    }
-    let uncertain = |rotation_sd_rad, scale_sd| {
-        Err(ControlMisfit::Uncertain { usable, rotation_sd_rad, scale_sd })
-    };
-    let pairs_with = |sigmas: &dyn Fn(&MarkedPoint, &Found) -> Vector3<f64>| -> Vec<Pair> {
-        let pair = |(point, found): &(&MarkedPoint, &Found)| Pair {
-            found: found.xyz,
-            measured: point.xyz,
-            sigmas: sigmas(point, found),
-            axes: Matrix3::identity(),
-        };
-        used.iter().map(pair).collect()
-    };
-    // In metres, as errors of a bent model are alike for all points.
-    let pairs = pairs_with(&|_, _| Vector3::repeat(1.0));
-    let Some(similarity) = spatial(&pairs, keeps_scale, NUM_SAMPLES, 0) else {
-        return uncertain(f64::INFINITY, f64::INFINITY);
-    };
-    let sigma_m = scale_of_residuals(&pairs, &similarity);
-    let extent_m = extent(used.iter().map(|(point, _)| point.xyz));
-    // No number is within no bound.
-    let fits = sigma_m <= MAX_BENDING * extent_m;
-    if !fits {
-        return Err(ControlMisfit::Contradiction { sigma_m, extent_m });
-    }
-    let free = Free::all_but_scale(keeps_scale);
-    let whitened = pairs_with(&|point, found| sigmas(point, found, &similarity));
-    let (_, variances) = refined(&whitened, similarity, &free);
-    let rotation_sd_rad = variances.fixed_rows::<3>(3).sum().sqrt();
-    let scale_sd = variances[6].sqrt();
-    let is_certain = rotation_sd_rad <= MAX_SD && scale_sd <= MAX_SD;
-    if !is_certain {
-        return uncertain(rotation_sd_rad, scale_sd);
-    }
-    let (similarity, _) = refined(&pairs, similarity, &free);
-    let places: Vec<Vector3<f64>> =
-        whitened.iter().map(|pair| pair.measured.component_div(&pair.sigmas)).collect();
-    if is_upside_down(&axes_of(model), &similarity, &places) {
-        return Err(ControlMisfit::UpsideDown);
-    }
-    Ok(similarity)
-}
-
-/// The median distance of places from their median.
-fn extent(places: impl Iterator<Item = Vector3<f64>> + Clone) -> f64 {
-    let of_axis =
-        |axis: usize| median(&mut places.clone().map(|xyz| xyz[axis]).collect::<Vec<_>>());
-    let middle = Vector3::from_fn(|axis, _| of_axis(axis).unwrap_or(f64::NAN));
-    let mut distances: Vec<f64> = places.map(|xyz| (xyz - middle).norm()).collect();
-    median(&mut distances).unwrap_or(f64::NAN)
-}
-
-/// Adjusts a model that is near the frame of control points ([`first_similarity_to_points`])
+/// Adjusts a model that is near the frame of control points ([`super::first_similarity_to_points`])
 /// together with them. `options` are those of the adjustment, whose gauge the points fix; `terms`
 /// are further ones.
 ///
@@ -149,7 +64,9 @@ pub fn adjust_to_points(
 ) -> Result<ControlAdjustment, Error> {
     let mut run = Run { points, options, terms, watch };
     run.robustly(model)?;
-    let mut used = run.fitting(&places(model, points));
+    let (control, pairs) = determined(points, &places(model, points), &Sim3::identity());
+    let mut used: Vec<usize> =
+        fitting(&pairs, &Sim3::identity(), MAX_RIGHT).into_iter().map(|k| control[k]).collect();
     let mut round = 1;
     let (fit, verdicts) = loop {
         let fit = run.with(model, &used)?;
@@ -226,7 +143,9 @@ impl Run<'_, '_> {
 
     /// Adjusts with a robust loss, whose scale shrinks.
     fn robustly(&mut self, model: &mut Reconstruction) -> Result<(), Error> {
-        let mut scale = self.spread(&places(model, self.points)).max(1.0);
+        let similarity = Sim3::identity();
+        let (_, pairs) = determined(self.points, &places(model, self.points), &similarity);
+        let mut scale = scale_of_residuals(&pairs, &similarity).max(1.0);
         loop {
             let found = places(model, self.points);
             let of_point = |k: usize| {
@@ -240,35 +159,6 @@ impl Run<'_, '_> {
             }
             scale = (scale / SHRINKAGE).max(1.0);
         }
-    }
-
-    /// Robust size of the residuals of a model, in their deviations.
-    fn spread(&self, found: &[Option<Found>]) -> f64 {
-        let pair = |k: usize| {
-            let (point, found) = (&self.points[k], found[k].as_ref()?);
-            let sigmas = sigmas(point, found, &Sim3::identity());
-            let axes = Matrix3::identity();
-            Some(Pair { found: found.xyz, measured: point.xyz, sigmas, axes })
-        };
-        let pairs: Vec<Pair> = self.control().filter_map(pair).collect();
-        scale_of_residuals(&pairs, &Sim3::identity())
-    }
-
-    /// The points that fit a model, and no fewer than determine its frame.
-    fn fitting(&self, found: &[Option<Found>]) -> Vec<usize> {
-        let norm = |k: usize| {
-            let (point, found) = (&self.points[k], found[k].as_ref()?);
-            let error = found.xyz - point.xyz;
-            Some((error.component_div(&sigmas(point, found, &Sim3::identity())).norm(), k))
-        };
-        let mut all: Vec<(f64, usize)> = self.control().filter_map(norm).collect();
-        all.sort_by(|a, b| a.0.total_cmp(&b.0));
-        let fits =
-            |(rank, (norm, _)): &(usize, (f64, usize))| *rank < MIN_POINTS || *norm <= MAX_RIGHT;
-        let mut fitting: Vec<usize> =
-            all.into_iter().enumerate().filter(fits).map(|(_, (_, k))| k).collect();
-        fitting.sort_unstable();
-        fitting
     }
 
     /// Adjusts with the squared loss for some points, by their marks that agree.

@@ -1,11 +1,10 @@
 //! Control points: points with measured coordinates that are marked in images.
 
-use tiepoint_geometry::nalgebra::{Matrix3, SVector, Vector2, Vector3};
+use tiepoint_geometry::nalgebra::{Matrix3, Vector2, Vector3};
 use tiepoint_geometry::triangulate::{ViewRay, triangulate};
-use tiepoint_geometry::{Rigid3, Sim3, solvers};
+use tiepoint_geometry::{Rigid3, Sim3};
 use tiepoint_scene::{ImageId, Reconstruction};
 
-use super::alignment::{Free, Pair, axes_of, is_upside_down, refined};
 use super::redundancy::Verdict;
 use crate::rolling_shutter::{RollingShutter, row_poses};
 
@@ -15,13 +14,6 @@ const MAX_MARK_SIGMAS: f64 = 4.0;
 const MIN_MARK_PX: f64 = 1.0;
 /// Least angle between two rays to a point (1.5°).
 const MIN_ANGLE_RAD: f64 = 0.026;
-/// Fewest points: three determine a similarity.
-pub(super) const MIN_POINTS: usize = 3;
-/// Largest standard deviation of a rotation (3°), and of the logarithm of the scale, that is of
-/// use: as far from the points as they are from each other, an error of a twentieth of that.
-pub(super) const MAX_SD: f64 = 0.05;
-/// Normal quantile of one in a thousand.
-const QUANTILE: f64 = 3.09;
 
 /// A point with measured coordinates that is marked in images.
 #[derive(Clone, Debug, PartialEq)]
@@ -73,43 +65,6 @@ impl PointError {
         self.detectable_m = Some(verdict.detectable_m);
         self.separable_m = Some(verdict.separable_m);
     }
-}
-
-/// Why control points do not determine the similarity.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum ControlMisfit {
-    /// There are fewer than three.
-    TooFew {
-        /// Number of points that are no check points and that their marks determine.
-        usable: usize,
-    },
-    /// They leave a rotation or the scale uncertain: they are near a line, or near each other.
-    Uncertain {
-        /// Number of points that are no check points and that their marks determine.
-        usable: usize,
-        /// Standard deviation of the most uncertain rotation.
-        rotation_sd_rad: f64,
-        /// Standard deviation of the scale, relative to it.
-        scale_sd: f64,
-    },
-    /// The model would be upside down: flat points are mirrored, as by swapped coordinates.
-    UpsideDown,
-    /// Most of them are so far from their places in the model that no adjustment explains it.
-    Contradiction {
-        /// Robust standard deviation of a coordinate, in metres.
-        sigma_m: f64,
-        /// Median distance of the points from their median, in metres.
-        extent_m: f64,
-    },
-}
-
-/// A model in the frame of control points.
-#[derive(Clone, Debug, PartialEq)]
-pub struct ControlAlignment {
-    /// The similarity.
-    pub term_from_model: Sim3,
-    /// The points, in their order.
-    pub points: Vec<PointError>,
 }
 
 /// A point that its marks determine in the model, with the covariance of its marks.
@@ -208,43 +163,6 @@ pub(super) fn errors(
     points.iter().enumerate().map(of_point).collect()
 }
 
-/// The similarity that brings the marked points of a model to their measured coordinates. A point
-/// that the others contradict is left out: as long as the residuals are larger than chance
-/// explains, that without which they are smallest.
-///
-/// # Errors
-///
-/// The points do not determine the similarity.
-pub fn align_to_points(
-    model: &Reconstruction,
-    points: &[MarkedPoint],
-) -> Result<ControlAlignment, ControlMisfit> {
-    let found = places(model, points);
-    let mut used: Vec<usize> =
-        (0..points.len()).filter(|&k| found[k].is_some() && !points[k].is_check).collect();
-    let fit = |used: &[usize]| fit(points, &found, used);
-    let (mut similarity, mut cost) = fit(&used)?;
-    // Four points are the fewest of which one can be wrong: three fit any one of two.
-    while used.len() > MIN_POINTS && cost > max_cost(3 * used.len() - 7) {
-        let without = (0..used.len()).filter_map(|k| {
-            let mut others = used.clone();
-            others.remove(k);
-            fit(&others).ok().map(|(similarity, cost)| (cost, similarity, others))
-        });
-        let Some(best) = without.min_by(|a, b| a.0.total_cmp(&b.0)) else { break };
-        (cost, similarity, used) = best;
-    }
-    let place = |&k: &usize| {
-        Some(points[k].xyz.component_div(&sigmas(&points[k], found[k].as_ref()?, &similarity)))
-    };
-    let places: Vec<Vector3<f64>> = used.iter().filter_map(place).collect();
-    if is_upside_down(&axes_of(model), &similarity, &places) {
-        return Err(ControlMisfit::UpsideDown);
-    }
-    let points = errors(model, points, &found, &similarity, &|k| used.contains(&k));
-    Ok(ControlAlignment { term_from_model: similarity, points })
-}
-
 fn has_pose(model: &Reconstruction, image: ImageId) -> bool {
     model.image(image).cam_from_world().is_some()
 }
@@ -303,54 +221,4 @@ pub(super) fn sigmas(point: &MarkedPoint, found: &Found, similarity: &Sim3) -> V
     let covariance = rotation * found.covariance * rotation.inverse();
     let variances = covariance.diagonal() * similarity.scale.powi(2);
     variances.zip_map(&point.sigmas_m, |variance, sigma_m| (variance + sigma_m.powi(2)).sqrt())
-}
-
-/// The similarity of these points, and the sum of the squared residuals in their deviations.
-fn fit(
-    points: &[MarkedPoint],
-    found: &[Option<Found>],
-    used: &[usize],
-) -> Result<(Sim3, f64), ControlMisfit> {
-    let used: Vec<(&MarkedPoint, &Found)> =
-        used.iter().filter_map(|&k| Some((&points[k], found[k].as_ref()?))).collect();
-    let usable = used.len();
-    if usable < MIN_POINTS {
-        return Err(ControlMisfit::TooFew { usable });
-    }
-    let uncertain = |rotation_sd_rad, scale_sd| {
-        Err(ControlMisfit::Uncertain { usable, rotation_sd_rad, scale_sd })
-    };
-    let (from, to): (Vec<Vector3<f64>>, Vec<Vector3<f64>>) =
-        used.iter().map(|(point, found)| (found.xyz, point.xyz)).unzip();
-    let Some(mut similarity) = solvers::umeyama(&from, &to, true) else {
-        return uncertain(f64::INFINITY, f64::INFINITY);
-    };
-    let mut pairs = Vec::new();
-    let mut variances = SVector::zeros();
-    for _ in 0..2 {
-        let pair = |(point, found): &(&MarkedPoint, &Found)| Pair {
-            found: found.xyz,
-            measured: point.xyz,
-            sigmas: sigmas(point, found, &similarity),
-            axes: Matrix3::identity(),
-        };
-        pairs = used.iter().map(pair).collect();
-        (similarity, variances) = refined(&pairs, similarity, &Free::all());
-    }
-    let rotation_sd_rad = variances.fixed_rows::<3>(3).sum().sqrt();
-    let scale_sd = variances[6].sqrt();
-    let cost: f64 = pairs.iter().map(|pair| pair.whitened(&similarity).powi(2)).sum();
-    // No number is within no bound.
-    let is_certain = rotation_sd_rad <= MAX_SD && scale_sd <= MAX_SD && cost.is_finite();
-    if !is_certain {
-        return uncertain(rotation_sd_rad, scale_sd);
-    }
-    Ok((similarity, cost))
-}
-
-/// The 99.9 % quantile of χ² (Wilson & Hilferty 1931).
-fn max_cost(degrees: usize) -> f64 {
-    let d = degrees as f64;
-    let part = 2.0 / (9.0 * d);
-    d * (1.0 - part + QUANTILE * part.sqrt()).powi(3)
 }

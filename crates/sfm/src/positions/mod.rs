@@ -9,6 +9,7 @@
 
 mod alignment;
 mod control_adjustment;
+mod control_alignment;
 mod control_points;
 mod control_term;
 mod evidence;
@@ -18,11 +19,11 @@ mod term;
 mod track;
 
 pub use alignment::{Misfit, PositionAlignment, align, may_be_mirrored};
-pub use control_adjustment::{ControlAdjustment, adjust_to_points, first_similarity_to_points};
-pub use control_points::{
-    ControlAlignment, ControlMisfit, MarkedPoint, PointError, align_to_points, point_errors,
-    with_global_shutter,
+pub use control_adjustment::{ControlAdjustment, adjust_to_points};
+pub use control_alignment::{
+    ControlAlignment, ControlMisfit, align_to_points, first_similarity_to_points,
 };
+pub use control_points::{MarkedPoint, PointError, point_errors, with_global_shutter};
 pub use evidence::{Comparison, compare, held_out};
 pub use measured::MeasuredPosition;
 pub use term::PositionTerm;

@@ -96,6 +96,23 @@ impl Redundancy {
         }
     }
 
+    /// Of a least-squares fit to measured coordinates, with `residuals` and `jacobian` in
+    /// deviations of the coordinates, where it is linearised: C is J (JᵀJ)⁻¹ Jᵀ = QQᵀ, of the QR
+    /// decomposition.
+    pub(super) fn of_fit(
+        residuals: &DVector<f64>,
+        jacobian: DMatrix<f64>,
+        sigmas: Vec<Vector3<f64>>,
+    ) -> Self {
+        let q = jacobian.qr().q();
+        let residuals = residuals - &q * q.tr_mul(residuals);
+        Self {
+            residuals,
+            matrix: DMatrix::identity(q.nrows(), q.nrows()) - &q * q.transpose(),
+            sigmas,
+        }
+    }
+
     fn num_points(&self) -> usize {
         self.sigmas.len()
     }

@@ -167,3 +167,46 @@ fn a_wrong_point_and_a_wrong_mark_are_named_and_do_no_harm() {
     assert!(others.clone().all(|(_, error)| error.wrong_marks.is_empty()), "{errors:?}");
     assert!(rms_sigmas(&errors) < MAX_RMS_SIGMAS, "{}: {errors:?}", rms_sigmas(&errors));
 }
+
+/// Models that are right but for noise, and surveys of four or six points of which one is wrong by
+/// up to twenty deviations of a point by its marks.
+const CASES: u64 = 100;
+/// A right point is named in one of a thousand cases, so that more than two of 100 are by chance in
+/// one of five thousand tests.
+const MAX_RIGHT_NAMED: usize = 2;
+
+/// Without the adjustment, too.
+#[test]
+fn the_similarity_names_wrong_points_and_no_right_ones() {
+    let truth = strips(3);
+    let model = model(&truth, 0.0);
+    let named = |points: &[MarkedPoint]| -> Vec<usize> {
+        let errors = align_to_points(&model, points).unwrap().points;
+        (0..points.len()).filter(|k| errors[*k].is_wrong).collect()
+    };
+    let of_survey = |num_control: usize, seed: u64| {
+        let mut points = surveyed(&truth, seed);
+        points[NUM_CONTROL..num_control].iter_mut().for_each(|point| point.is_check = false);
+        points
+    };
+    for (num_control, min_named) in [(4, 0.3), (6, 0.6)] {
+        let (mut right, mut wrong) = (0, 0);
+        for case in 0..CASES {
+            let mut rng = Rng::stream(case, &[50]);
+            let mut points = of_survey(num_control, case);
+            let off = rng.below(num_control);
+            let direction = Vector3::from_fn(|_, _| rng.normal()).normalize();
+            points[off].xyz += 2.0 * WRONG_M * rng.uniform() * direction;
+            for k in named(&points) {
+                *if k == off { &mut wrong } else { &mut right } += 1;
+            }
+        }
+        let share = wrong as f64 / CASES as f64;
+        assert!(right <= MAX_RIGHT_NAMED && share > min_named, "{num_control}: {right} {share}");
+    }
+    // Two of six whose errors disagree.
+    let mut points = of_survey(6, CASES);
+    points[1].xyz.z += 2.0 * WRONG_M;
+    points[4].xyz.x -= 5.0 * WRONG_M;
+    assert_eq!(named(&points), [1, 4]);
+}
