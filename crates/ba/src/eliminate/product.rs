@@ -238,13 +238,13 @@ impl<V: Vector> PoseOfPoint<V> {
         let tile: &mut [f64; POSE * WIDE] =
             tile.first_chunk_mut().expect("tiles are as long as that");
         let mut b = [V::splat(0.0); POINT];
-        for k in 0..POINT {
-            b[k] = V::load(&rows[k][column..]);
+        for (b, row) in b.iter_mut().zip(rows) {
+            *b = V::load(&row[column..]);
         }
         for c in 0..POSE {
             let mut sum = V::load(&tile[c * WIDE..]);
-            for k in 0..POINT {
-                sum = self.0[k][c].neg_mul_add(b[k], sum);
+            for (row, b) in self.0.iter().zip(b) {
+                sum = row[c].neg_mul_add(b, sum);
             }
             sum.store(&mut tile[c * WIDE..]);
         }
