@@ -73,8 +73,9 @@ const ASSEMBLERS: &[&str] = &["generator", "blake3"];
 /// Packages of declarations of system calls alone, for crates that call the system itself.
 const DECLARATIONS: &[&str] = &["linux-raw-sys", "windows-sys"];
 
-/// Crates that tests of all crates may use: synthetic scenes and evaluation.
-const FOR_TESTS: &[&str] = &["synth", "eval"];
+/// Crates that tests and examples of all crates below them may use: synthetic scenes, evaluation and
+/// COLMAP's formats.
+const FOR_TESTS: &[&str] = &["synth", "eval", "io"];
 
 /// Whether a package compiles or links C code.
 fn is_c(package: &str) -> bool {
