@@ -73,7 +73,7 @@ const ASSEMBLERS: &[&str] = &["generator", "blake3"];
 /// Packages of declarations of system calls alone, for crates that call the system itself.
 const DECLARATIONS: &[&str] = &["linux-raw-sys", "windows-sys"];
 
-/// Crates that tests and examples of all crates below them may use: synthetic scenes, evaluation and
+/// Crates that tests and examples of all crates below them may use: synthetic scenes, evaluation,
 /// COLMAP's formats.
 const FOR_TESTS: &[&str] = &["synth", "eval", "io"];
 
