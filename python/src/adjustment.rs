@@ -18,7 +18,7 @@ use tiepoint_sfm::adjust::{
 use crate::arrays::{invalid_array, numbers, selection};
 use crate::errors::{failed, invalid};
 use crate::fork::refuse_after_fork;
-use crate::reconstruction::Reconstruction;
+use crate::model::Reconstruction;
 
 /// Names of losses, and of what they are.
 type NewLoss = fn(f64) -> Loss;

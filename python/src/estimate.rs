@@ -43,11 +43,14 @@ fn found<'py, M>(
     Ok(Some(all))
 }
 
+/// Rows of an array.
+type Rows<const N: usize> = Vec<SVector<f64, N>>;
+
 /// Two arrays of corresponding rows; an error names them.
 fn corresponding<const A: usize, const B: usize>(
     [one, other]: [&Bound<'_, PyAny>; 2],
     names: [&str; 2],
-) -> PyResult<(Vec<SVector<f64, A>>, Vec<SVector<f64, B>>)> {
+) -> PyResult<(Rows<A>, Rows<B>)> {
     let (one, other) = (rows::<A>(one, names[0])?, rows::<B>(other, names[1])?);
     require_same_length(one.len(), other.len(), names)?;
     Ok((one, other))

@@ -8,7 +8,7 @@ use tiepoint_scene::ImageId;
 use crate::arrays::{matrix, pose, vector};
 use crate::camera::Camera;
 use crate::errors::invalid;
-use crate::reconstruction::Reconstruction;
+use crate::model::Reconstruction;
 
 /// An image of a model, with the names of pycolmap. It shows the model as it is now.
 #[pyclass(frozen, module = "tiepoint", name = "Image")]

@@ -10,6 +10,7 @@ mod estimate;
 mod features;
 mod fork;
 mod image;
+mod model;
 mod reconstruction;
 mod rig;
 mod undistort;
@@ -23,7 +24,7 @@ fn _tiepoint(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("Error", python.get_type::<errors::Error>())?;
     module.add("UsageError", python.get_type::<errors::UsageError>())?;
     module.add_class::<camera::Camera>()?;
-    module.add_class::<reconstruction::Reconstruction>()?;
+    module.add_class::<model::Reconstruction>()?;
     module.add_class::<image::ModelImage>()?;
     module.add_function(wrap_pyfunction!(command::commands, module)?)?;
     module.add_function(wrap_pyfunction!(command::run, module)?)?;

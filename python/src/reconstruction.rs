@@ -1,4 +1,4 @@
-//! Models as arrays.
+//! Models as arrays: the methods of their class.
 
 use std::ffi::CString;
 use std::path::PathBuf;
@@ -12,8 +12,8 @@ use tiepoint_geometry::nalgebra::{Matrix4, UnitQuaternion, Vector3};
 use tiepoint_geometry::{Rigid3, Sim3};
 use tiepoint_io::colmap::Format;
 use tiepoint_pipeline::workspace::LocatedModel;
-use tiepoint_scene::{CameraId, Image, ImageId, Observation, PointId};
-use tiepoint_sfm::rolling_shutter::{RollingShutter, row_poses};
+use tiepoint_scene::{CameraId, ImageId, Observation};
+use tiepoint_sfm::rolling_shutter::row_poses;
 
 use crate::arrays::{
     invalid_array, is_rotation, matrix, numbers, pose, poses, poses_of, rows, selection, vector,
@@ -21,44 +21,7 @@ use crate::arrays::{
 use crate::camera::Camera;
 use crate::errors::{failed, invalid};
 use crate::image::ModelImage;
-
-/// A COLMAP model, read from a workspace or a folder. Images are those with a pose, in the order of
-/// their ids; arrays of images have a row for each of them, and arrays of points a row for each
-/// point. Poses are cam_from_world as matrices [R | t]. The centre of the top-left pixel is (0.5,
-/// 0.5).
-#[pyclass(module = "tiepoint")]
-pub(crate) struct Reconstruction {
-    pub(crate) model: tiepoint_scene::Reconstruction,
-    /// The images with a pose.
-    pub(crate) images: Vec<ImageId>,
-    points: Vec<PointId>,
-    shutters: Vec<RollingShutter>,
-}
-
-impl Reconstruction {
-    fn new(model: tiepoint_scene::Reconstruction, shutters: Vec<RollingShutter>) -> Self {
-        let mut this = Self { model, images: Vec::new(), points: Vec::new(), shutters };
-        this.list();
-        this
-    }
-
-    /// Lists the images with a pose and the points of the model.
-    fn list(&mut self) {
-        self.images = self.model.registered().map(|(id, ..)| id).collect();
-        self.points = self.model.tracks().map(|(id, _)| id).collect();
-    }
-
-    fn image(&self, index: usize) -> PyResult<&Image> {
-        let id = self.images.get(index).ok_or_else(|| {
-            PyIndexError::new_err(format!("image {index} of {}", self.images.len()))
-        })?;
-        Ok(self.model.image(*id))
-    }
-
-    pub(crate) fn row_of(&self, image: ImageId) -> usize {
-        self.images.binary_search(&image).expect("observations are those of images with a pose")
-    }
-}
+use crate::model::Reconstruction;
 
 #[pymethods]
 impl Reconstruction {
