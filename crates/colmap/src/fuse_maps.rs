@@ -23,7 +23,8 @@ use tiepoint_pipeline::workspace::{DenseNames, MapKind, model_files, refuse_work
 use super::dense_lists::read_fused;
 use super::patch_match::SPARSE;
 
-/// How clouds begin.
+/// The first line of any PLY file, for the files that are known as this program's: COLMAP's clouds
+/// have no comment.
 const PLY: Mark = Mark::Start("ply");
 
 /// Options of [`fuse_depth_maps`].
@@ -88,7 +89,7 @@ pub fn fuse_depth_maps(
         StoreError::ForeignFile { path } => named(path),
         other => other,
     })?;
-    // The folder may hold results of other commands, as a model.
+    // This program's other results, such as a model, may be in the folder, too.
     if !(options.overwrite || may_be_replaced(output, Replace::Marked(PLY))?) {
         return Err(named(output.to_owned()).into());
     }

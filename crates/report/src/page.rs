@@ -317,12 +317,13 @@ pub fn view(
     };
     let name = root.file_name().map_or_else(|| "model".into(), |name| name.to_string_lossy());
     let page = root.join(PAGE);
-    // The page shows all models, the largest one first, whichever is asked for.
-    let (workspace, largest) = (Some((root, report.as_ref())), root.join(model_path(0)));
-    match is_same(&largest, located.folder()) {
-        true => write_view(located, &name, workspace, &page, shown),
-        false => write_view(&LocatedModel::open(&largest)?, &name, workspace, &page, shown),
+    let workspace = Some((root, report.as_ref()));
+    if located.is_largest() {
+        return write_view(located, &name, workspace, &page, shown);
     }
+    // The page shows all models, the largest one first, whichever is asked for.
+    let largest = LocatedModel::open(&root.join(model_path(0)))?;
+    write_view(&largest, &name, workspace, &page, shown)
 }
 
 fn is_same(a: &Path, b: &Path) -> bool {

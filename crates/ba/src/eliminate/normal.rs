@@ -68,7 +68,7 @@ fn add<I: Isa>(workspace: &mut Workspace<'_>, task: &Task, rank_update: &RankUpd
                     ColumnSpan { column: a.column, dof: a.dof },
                     ColumnSpan { column: b.column, dof: b.dof },
                 );
-                I::run(SumProduct::<_, true> { rows: rows.clone(), a, b, tile });
+                I::run(SumProduct { rows: rows.clone(), a, b, tile });
                 continue;
             }
             for row in rows.clone() {

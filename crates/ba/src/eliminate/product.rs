@@ -152,6 +152,14 @@ pub(super) struct ColumnSpan {
     pub(super) dof: usize,
 }
 
+impl ColumnSpan {
+    /// The columns of a block in rows over the blocks of its pattern.
+    #[inline(always)]
+    fn of(block: &PatternBlock) -> Self {
+        Self { column: block.padded_offset, dof: block.dof }
+    }
+}
+
 /// Rows that start at the given offsets. Each extends to the end of `numbers`.
 #[derive(Clone)]
 pub(crate) struct GatheredRows<'a> {
@@ -185,36 +193,31 @@ impl Kernel for SubtractProducts<'_> {
     #[inline(always)]
     fn run<I: Isa>(self) {
         let Self { y, width, blocks, tile_at, tiles } = self;
-        let rows = y.chunks_exact(width);
-        let a = ColumnSpan { column: blocks[0].padded_offset, dof: blocks[0].dof };
+        let (rows, a) = (y.chunks_exact(width), ColumnSpan::of(&blocks[0]));
         let others = blocks.iter().zip(tile_at);
         if I::MANY_REGISTERS && a.dof == POSE && y.len() == POINT * width {
-            let mut three = [&[][..]; POINT];
-            for (to, row) in three.iter_mut().zip(rows.clone()) {
-                *to = row;
-            }
+            let three = [&y[..width], &y[width..2 * width], &y[2 * width..]];
             let factors = PoseOfPoint::<I::Wide>::new(&three, a.column);
             for (b, &at) in others {
-                let (b, tile) =
-                    (ColumnSpan { column: b.padded_offset, dof: b.dof }, &mut tiles[at as usize..]);
-                if tile_lanes(b.dof) == WIDE && b.dof <= WIDE {
-                    factors.subtract(&three, b.column, tile);
+                let tile = &mut tiles[at as usize..];
+                if b.padded == WIDE {
+                    factors.subtract(&three, b.padded_offset, tile);
                 } else {
-                    sum_product::<I, false>(rows.clone(), a, b, tile);
+                    sum_product::<I, false>(rows.clone(), a, ColumnSpan::of(b), tile);
                 }
             }
             return;
         }
         for (b, &at) in others {
-            let b = ColumnSpan { column: b.padded_offset, dof: b.dof };
-            sum_product::<I, false>(rows.clone(), a, b, &mut tiles[at as usize..]);
+            let tile = &mut tiles[at as usize..];
+            sum_product::<I, false>(rows.clone(), a, ColumnSpan::of(b), tile);
         }
     }
 }
 
 /// Degrees of freedom of a pose and of a point.
 const POSE: usize = 6;
-const POINT: usize = 3;
+pub(super) const POINT: usize = 3;
 
 /// Y of one point and one pose, each number in a vector of its own: most of the work of a
 /// reconstruction whose images share intrinsics. They stay in registers for all tiles of the pose.
@@ -251,20 +254,18 @@ impl<V: Vector> PoseOfPoint<V> {
     }
 }
 
-/// [`sum_product`] as a [`Kernel`].
-pub(super) struct SumProduct<'a, R, const PLUS: bool> {
+/// Adds aᵀb over all `rows` to a tile.
+pub(super) struct SumProduct<'a, R> {
     pub(super) rows: R,
     pub(super) a: ColumnSpan,
     pub(super) b: ColumnSpan,
     pub(super) tile: &'a mut [f64],
 }
 
-impl<'a, R: Iterator<Item = &'a [f64]> + Clone, const PLUS: bool> Kernel
-    for SumProduct<'_, R, PLUS>
-{
+impl<'a, R: Iterator<Item = &'a [f64]> + Clone> Kernel for SumProduct<'_, R> {
     #[inline(always)]
     fn run<I: Isa>(self) {
-        sum_product::<I, PLUS>(self.rows, self.a, self.b, self.tile);
+        sum_product::<I, true>(self.rows, self.a, self.b, self.tile);
     }
 }
 

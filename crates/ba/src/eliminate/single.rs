@@ -6,16 +6,13 @@
 #![allow(clippy::needless_range_loop)]
 
 use super::cursor::Cursor;
-use super::product::{ColumnSpan, over_lanes, product, sum_product};
+use super::product::{ColumnSpan, POINT as P, over_lanes, product, sum_product};
 use super::simd::{Isa, Kernel, Vector, WIDE};
 use super::stash::{StashHead, stash_rows};
 use super::workspace::{SLACK, Workspace};
 use crate::structure::{
     Elimination, LandmarkBlock, SINGLE_ROWS as ROWS, Task, padded, pair, stash_head, stash_len,
 };
-
-/// Degrees of freedom of a point.
-const P: usize = 3;
 
 /// Adds landmark blocks with the same pattern to the task's sums, after `factorise_landmark`, with
 /// one product for all of them. `D` is the size of all their column blocks as a constant, or 0.
@@ -89,7 +86,7 @@ impl<const D: usize> Kernel for Eliminate<'_, '_, D> {
         let mut first = 0;
         for (l, a) in pattern_blocks.iter().enumerate() {
             let a = ColumnSpan { column: a.padded_offset, dof: a.dof_or::<D>() };
-            // The first pair is that of the block with itself, see above.
+            // A block with itself, the first pair, is done above.
             for (b, &at) in pattern_blocks[l..].iter().zip(&pairs[first..]).skip(1) {
                 let b = ColumnSpan { column: b.padded_offset, dof: b.dof_or::<D>() };
                 sum_product::<I, false>(w.chunks_exact(width), a, b, &mut tiles[at as usize..]);

@@ -123,6 +123,12 @@ impl LocatedModel {
         is_workspace(&self.root).then_some(&*self.root)
     }
 
+    /// Whether it is the largest model of its workspace.
+    pub fn is_largest(&self) -> bool {
+        let largest = self.root.join(model_path(0));
+        self.folder.canonicalize().ok() == largest.canonicalize().ok()
+    }
+
     /// File of the detected keypoints, if the model is in a workspace.
     pub(crate) fn database(&self) -> PathBuf {
         self.root.join(DATABASE)
@@ -132,10 +138,8 @@ impl LocatedModel {
     /// earlier model stays on disk.
     pub fn dense_cloud(&self) -> Option<PathBuf> {
         let (root, cloud) = (self.workspace()?, self.root.join(DENSE_CLOUD));
-        let is_largest =
-            self.folder.canonicalize().ok() == root.join(model_path(0)).canonicalize().ok();
         let is_current = || current_records(root).is_ok_and(|r| r.is_complete(Stage::Dense));
-        (is_largest && cloud.is_file() && is_current()).then_some(cloud)
+        (self.is_largest() && cloud.is_file() && is_current()).then_some(cloud)
     }
 
     /// Why what is known of the model is not used, in one sentence.
@@ -220,14 +224,14 @@ pub fn model_folder(path: &Path) -> Result<PathBuf, Error> {
             return Ok(path.to_owned());
         }
         let (only, first) = (path.join("sparse"), path.join("0"));
-        return match () {
-            () if is_model(&only) => Ok(only),
-            () if is_model(&first) => {
-                Err(Error::SeveralModels { path: path.to_owned(), model: first })
-            }
-            () if is_workspace(path) => Err(Error::NoModelYet { path: path.to_owned() }),
-            () => Ok(path.to_owned()),
-        };
+        if is_model(&only) {
+            return Ok(only);
+        }
+        let path = path.to_owned();
+        if is_model(&first) {
+            return Err(Error::SeveralModels { path, model: first });
+        }
+        return if is_workspace(&path) { Err(Error::NoModelYet { path }) } else { Ok(path) };
     }
     if is_workspace(path) && !current_records(path)?.is_complete(Stage::Map) {
         return Err(Error::StaleModels { path: path.to_owned() });
