@@ -40,7 +40,7 @@ pub struct SolverInfo {
 pub const TABLE: &[SolverInfo] = &[
     SolverInfo {
         name: "p3p",
-        finds: "camera pose from rays and points",
+        finds: "camera pose from unit rays and points",
         sample_size: 3,
         max_solutions: 4,
         paper: "Ding et al. 2023",
