@@ -102,7 +102,8 @@ pub(crate) enum Command {
     /// Renders two drives and compares the constraints of --rig.
     ///
     /// Needs no data: renders an open street and a loop as seen by two cameras, reconstructs each
-    /// with --rig off, paper and auto, and compares the models with the ground truth.
+    /// with --rig off and auto, the street also with paper, and compares the models with the
+    /// ground truth.
     Demo(Demo),
     /// Experiments I and II of Huang, Elhashash & Qin 2022 on rendered images.
     ///

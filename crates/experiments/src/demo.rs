@@ -1,5 +1,5 @@
-//! Renders an open street and a loop, reconstructs each with `--rig off`,
-//! `paper` and `auto`, and compares the models with the ground truth.
+//! Renders an open street and a loop, reconstructs each with `--rig off` and `auto`, the street also
+//! with `paper`, and compares the models with the ground truth.
 
 use std::num::NonZeroUsize;
 use std::path::PathBuf;
@@ -43,6 +43,8 @@ struct Setting {
     /// Largest number of images of a camera.
     frames: Option<NonZeroUsize>,
     pairs: &'static str,
+    /// The constraints that are compared.
+    modes: &'static [RigMode],
 }
 
 /// The drives. Lengths, rates and pairs were chosen on the seeds 101 to 106, so that the demo takes
@@ -60,6 +62,7 @@ const SETTINGS: [Setting; 2] = [
         // The street ends in a meadow, where little is near enough to be triangulated.
         frames: NonZeroUsize::new(140),
         pairs: "sequential:5",
+        modes: &[RigMode::Off, RigMode::Paper, RigMode::Auto],
     },
     Setting {
         name: "loop",
@@ -69,8 +72,16 @@ const SETTINGS: [Setting; 2] = [
         rate_hz: 2.5,
         frames: None,
         pairs: "sequential:6+ends",
+        modes: &[RigMode::Off, RigMode::Auto],
     },
 ];
+
+impl Setting {
+    /// A drive is rendered, and then reconstructed with each constraint.
+    fn num_steps(&self) -> usize {
+        1 + self.modes.len()
+    }
+}
 
 /// What the demo renders.
 #[derive(Clone, Debug)]
@@ -113,6 +124,9 @@ struct DriveOutcome {
 #[derive(Serialize)]
 struct Run {
     rig: &'static str,
+    /// Heading of its column.
+    #[serde(skip)]
+    heading: String,
     workspace: PathBuf,
     report: Report,
     poses: PoseEvaluation,
@@ -130,8 +144,8 @@ struct Run {
     scale_drift: Option<f64>,
 }
 
-/// Renders the drives, reconstructs each with `off`, `paper` and `auto`, and writes a page that
-/// shows the models side by side.
+/// Renders the drives, reconstructs each with its constraints, and writes a page that shows the
+/// models side by side.
 ///
 /// # Errors
 ///
@@ -140,9 +154,10 @@ pub fn demo(options: &DemoOptions, progress: &mut dyn Progress) -> Result<DemoOu
     let start = Instant::now();
     let page = options.folder.join("report.html");
     refuse_foreign_page(&page)?;
-    let mut drives = Vec::new();
-    for (index, setting) in SETTINGS.iter().enumerate() {
-        drives.push(reconstruct_drive(options, setting, index, progress)?);
+    let mut drives: Vec<DriveOutcome> = Vec::new();
+    for setting in &SETTINGS {
+        let steps_before = drives.iter().map(|drive| drive.setting.num_steps()).sum();
+        drives.push(reconstruct_drive(options, setting, steps_before, progress)?);
     }
     let seconds = start.elapsed().as_secs_f64();
     let outcome = DemoOutcome { drives, seconds, page };
@@ -150,25 +165,20 @@ pub fn demo(options: &DemoOptions, progress: &mut dyn Progress) -> Result<DemoOu
     Ok(outcome)
 }
 
-/// The constraints that the demo compares.
-const MODES: [RigMode; 3] = [RigMode::Off, RigMode::Paper, RigMode::Auto];
-
-/// Renders a drive and reconstructs it with `off`, `paper` and `auto`. `index` is that of the
-/// drive.
+/// Renders a drive and reconstructs it with each constraint.
 fn reconstruct_drive(
     demo: &DemoOptions,
     setting: &'static Setting,
-    index: usize,
+    steps_before: usize,
     progress: &mut dyn Progress,
 ) -> Result<DriveOutcome, Error> {
     let folder = demo.folder.join(setting.name);
     let plan = plan(demo, setting, folder.join("drive"))?;
     let drive = plan.drive()?;
-    // A drive is rendered, and then reconstructed with each mode.
-    let steps = 1 + MODES.len();
+    let num_steps = SETTINGS.iter().map(Setting::num_steps).sum();
     let begin = |step: usize, what: &str, progress: &mut dyn Progress| {
         let what = format!("{}: {what}", setting.name);
-        progress.step(steps * index + step, steps * SETTINGS.len(), &what);
+        progress.step(steps_before + step, num_steps, &what);
     };
     begin(1, "render the images", progress);
     let rendered = render(&plan, &drive, progress)?;
@@ -190,7 +200,7 @@ fn reconstruct_drive(
         ..Options::default()
     };
     let mut runs = Vec::new();
-    for (step, mode) in (2..).zip(MODES) {
+    for (step, &mode) in (2..).zip(setting.modes) {
         begin(step, &format!("reconstruct with --rig {}", mode.name()), progress);
         let workspace = folder.join(mode.name());
         if let Some(first) = runs.first().map(|run: &Run| &run.workspace) {
@@ -238,6 +248,7 @@ fn evaluate(
     let scale_drift = scale_drift(&camera_errors);
     Ok(Run {
         rig,
+        heading: format!("--rig {rig}"),
         workspace,
         report,
         poses,
@@ -276,11 +287,6 @@ fn true_offset_s(drive: &Drive) -> f64 {
 }
 
 impl Run {
-    /// Headings of the columns, in the order of the runs.
-    fn names() -> [String; 3] {
-        ["off", "paper", "auto"].map(|rig| format!("--rig {rig}"))
-    }
-
     /// Estimated extrinsics and clock of the right camera.
     fn right_camera(&self) -> Option<&RigCamera> {
         let rig = self.report.models.first()?.rig.as_ref()?;
@@ -290,16 +296,13 @@ impl Run {
 
 impl DemoOutcome {
     fn write_page(&self) -> Result<(), Error> {
-        let names = Run::names();
         let max_bytes = Thumbnails::MAX_BYTES / self.drives.len();
         let photos: Vec<_> = self.drives.iter().map(|drive| drive.photos(max_bytes)).collect();
         let parts: Vec<_> = self
             .drives
             .iter()
             .zip(&photos)
-            .map(|(drive, photos)| {
-                (drive.report_models(&names, photos), [drive.table()], drive.note())
-            })
+            .map(|(drive, photos)| (drive.report_models(photos), [drive.table()], drive.note()))
             .collect();
         let sections: Vec<ReportSection> = self
             .drives
@@ -334,13 +337,9 @@ impl DemoOutcome {
 }
 
 impl DriveOutcome {
-    fn report_models<'a>(
-        &'a self,
-        names: &'a [String; 3],
-        photos: &'a Thumbnails,
-    ) -> Vec<ReportModel<'a>> {
-        let model = |(run, name): (&'a Run, &'a String)| ReportModel {
-            name,
+    fn report_models<'a>(&'a self, photos: &'a Thumbnails) -> Vec<ReportModel<'a>> {
+        let model = |run: &'a Run| ReportModel {
+            name: &run.heading,
             model: &run.model,
             rig: run.extrinsics.as_ref(),
             world_from_model: Some(run.poses.truth_from_model),
@@ -350,7 +349,7 @@ impl DriveOutcome {
             dense: None,
             photos: Some(photos),
         };
-        self.runs.iter().zip(names).map(model).collect()
+        self.runs.iter().map(model).collect()
     }
 
     /// Small copies of the rendered images, which all runs share.
@@ -440,7 +439,8 @@ impl DriveOutcome {
         row("mapping time", &|run| {
             Some(format!("{:.1} s", run.report.stages.map.as_ref()?.seconds))
         });
-        Table::of_columns(&Run::names(), rows)
+        let headings: Vec<String> = self.runs.iter().map(|run| run.heading.clone()).collect();
+        Table::of_columns(&headings, rows)
     }
 
     /// The commands that give the same results.

@@ -1,5 +1,7 @@
 //! Refinement schedules of the mapping stages.
 
+use crate::tracks::TOLERANCE_BEFORE_TRACK_UPDATE;
+
 /// Limits of a refinement.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct RefinementSchedule {
@@ -25,7 +27,7 @@ impl RefinementSchedule {
         Self { rounds: 1, tolerance: 1e-5, max_iterations: 30, select_tracks: true };
     /// Global refinement of the complete model, before loop detection.
     pub(crate) const BEFORE_LOOP_CLOSURE: Self =
-        Self { rounds: 1, select_tracks: true, ..Self::FINAL };
+        Self { rounds: 1, select_tracks: true, ..Self::FINAL.before_track_update() };
     /// After loop closure.
     pub(crate) const AFTER_LOOP_CLOSURE: Self =
         Self { rounds: 3, select_tracks: true, ..Self::FINAL };
@@ -38,4 +40,9 @@ impl RefinementSchedule {
         Self { rounds: 5, tolerance: 1e-5, max_iterations: 100, select_tracks: false };
     /// After rolling-shutter correction.
     pub(crate) const RECTIFIED: Self = Self { rounds: 1, ..Self::FINAL };
+
+    /// The schedule of an adjustment after which the tracks are updated.
+    pub(crate) const fn before_track_update(&self) -> Self {
+        Self { tolerance: self.tolerance.max(TOLERANCE_BEFORE_TRACK_UPDATE), ..*self }
+    }
 }

@@ -22,12 +22,13 @@ use crate::rigs::{BaselineTerm, LinkWeights};
 use crate::terms::with_terms;
 use crate::timeline::{images_in_time, images_of_cameras};
 use crate::tracks::{
-    complete_tracks, filter_all_points, filter_images, filter_points, merge_tracks, update_tracks,
+    TOLERANCE_BEFORE_TRACK_UPDATE, complete_tracks, filter_all_points, filter_images,
+    filter_points, merge_tracks, update_tracks,
 };
 
-/// A refinement ends when the number of observations and the cost change by less than this
+/// The next round is the last if the number of observations and the cost change by less than this
 /// fraction.
-const MIN_CHANGE: f64 = 5e-4;
+const MIN_CHANGE: f64 = TOLERANCE_BEFORE_TRACK_UPDATE;
 /// Minimum number of images for refining the distortion.
 const MIN_IMAGES_FOR_DISTORTION: usize = 5;
 /// Minimum rotation of a camera (20°) for refining focal length and principal point. From pure
@@ -108,21 +109,25 @@ impl<'a> Refiner<'a> {
         Ok(())
     }
 
-    /// Updates the tracks, adjusts and filters until the changes are small.
+    /// Updates the tracks, adjusts and filters until the changes are small. Only the last
+    /// adjustment converges fully.
     pub(super) fn refine_globally(
         &mut self,
         schedule: &RefinementSchedule,
         watch: &mut Watch,
     ) -> Result<(), Error> {
         let mut before = (self.solution.model.num_observations(), f64::INFINITY);
-        for _ in 0..schedule.rounds {
+        let mut is_settled = false;
+        for round in 1..=schedule.rounds {
             let Input { graph, options, .. } = self.input;
             update_tracks(graph, &mut self.solution.model, &options.tracks);
-            let after = self.adjust_globally(schedule, watch)?;
-            let changed = |now: f64, then: f64| (now - then).abs() >= MIN_CHANGE * now.abs();
-            if !changed(after.0 as f64, before.0 as f64) && !changed(after.1, before.1) {
+            if is_settled || round == schedule.rounds {
+                self.adjust_globally(schedule, watch)?;
                 break;
             }
+            let after = self.adjust_globally(&schedule.before_track_update(), watch)?;
+            let changed = |now: f64, then: f64| (now - then).abs() >= MIN_CHANGE * now.abs();
+            is_settled = !changed(after.0 as f64, before.0 as f64) && !changed(after.1, before.1);
             before = after;
         }
         Ok(())

@@ -7,7 +7,9 @@ use tiepoint_scene::{CorrespondenceGraph, Reconstruction};
 use super::extrinsics::RigExtrinsics;
 use super::extrinsics_term::adjust_with_extrinsics;
 use crate::Error;
-use crate::tracks::{FilterOptions, TrackOptions, filter_all_points, update_tracks};
+use crate::tracks::{
+    FilterOptions, TOLERANCE_BEFORE_TRACK_UPDATE, TrackOptions, filter_all_points, update_tracks,
+};
 
 /// Factor on the merge threshold of tracks directly after cameras moved relative to each other.
 pub(super) const MERGE_ERROR_FACTOR: f64 = 2.0;
@@ -34,7 +36,9 @@ impl Context<'_> {
         merge_error_factor: f64,
     ) -> Result<(), Error> {
         let options = AdjustOptions { max_iterations: ITERATIONS, ..self.adjust };
-        adjust_with_extrinsics(model, &options, all_extrinsics, &mut self.terms)?;
+        let function_tolerance = options.function_tolerance.max(TOLERANCE_BEFORE_TRACK_UPDATE);
+        let first = AdjustOptions { function_tolerance, ..options };
+        adjust_with_extrinsics(model, &first, all_extrinsics, &mut self.terms)?;
         let tracks = TrackOptions {
             max_merge_error_px: merge_error_factor * self.tracks.max_merge_error_px,
             ..*self.tracks
