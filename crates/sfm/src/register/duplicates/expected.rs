@@ -16,11 +16,7 @@ use crate::register::square_cells::square_cell;
 /// those at which [`crate::register::recall`] expects a point to be found, so that more of what
 /// hides a point from one view hides it from the other. Chosen on twins-apart, seed 11
 /// (docs/benchmarks/photos.md), without half and double.
-pub(super) const CLOSE_RAD: f64 = 0.122_15;
-/// A wider angle (12°), at which more photos around an object are compared with their neighbours.
-/// Chosen on twins, seeds 1 to 3 (docs/benchmarks/photos.md), which have a photo at every 11°
-/// around each house; not varied.
-pub(super) const WIDE_RAD: f64 = 0.209_4;
+const MAX_ANGLE_RAD: f64 = 0.122_15;
 const MAX_DISTANCE_RATIO: f64 = 1.2;
 /// A point is hidden if the points that the image observes in its cell are nearer than this share
 /// of its depth in the median. Not varied.
@@ -56,16 +52,11 @@ pub(super) struct Expectations {
 type Found = ((i64, i64), PointId, bool, [usize; MAX_WITNESSES]);
 
 impl Expectations {
-    /// Those of views at most `max_angle_rad` apart.
-    pub(super) fn new(
-        graph: &CorrespondenceGraph,
-        model: &Reconstruction,
-        max_angle_rad: f64,
-    ) -> Self {
+    pub(super) fn new(graph: &CorrespondenceGraph, model: &Reconstruction) -> Self {
         let images: Vec<ImageId> = model.registered().map(|(id, ..)| id).collect();
         let index: BTreeMap<ImageId, usize> =
             images.iter().enumerate().map(|(k, id)| (*id, k)).collect();
-        let expected = |image: &ImageId| expected_of(graph, model, &index, *image, max_angle_rad);
+        let expected = |image: &ImageId| expected_of(graph, model, &index, *image);
         let found: Vec<Vec<Found>> = images.par_iter().map(expected).collect();
         let mut points: Vec<PointId> = found.iter().flatten().map(|it| it.1).collect();
         points.sort_unstable();
@@ -106,7 +97,6 @@ fn expected_of(
     model: &Reconstruction,
     index: &BTreeMap<ImageId, usize>,
     image: ImageId,
-    max_angle_rad: f64,
 ) -> Vec<Found> {
     let (camera, observed) = (model.camera_of(image), model.image(image));
     let Some(pose) = observed.cam_from_world() else { return Vec::new() };
@@ -134,7 +124,7 @@ fn expected_of(
             let pose = model.image(*other).cam_from_world();
             pose.filter(|_| *other != image).is_some_and(|pose| {
                 let other_ray = track.xyz - pose.origin_in_a();
-                are_similar_views(&ray, &other_ray, max_angle_rad, MAX_DISTANCE_RATIO)
+                are_similar_views(&ray, &other_ray, MAX_ANGLE_RAD, MAX_DISTANCE_RATIO)
             })
         };
         let observers = track.observations.iter().map(|it| it.image);

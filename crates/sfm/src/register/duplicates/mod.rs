@@ -29,7 +29,7 @@ use tiepoint_scene::{CorrespondenceGraph, ImageId, ImagePair, Reconstruction};
 use crate::mapped_model::OtherPlace;
 use division::{FOUND_ELSEWHERE, is_across, is_within};
 use evidence::Evidence;
-use expected::{CLOSE_RAD, Expectations, WIDE_RAD};
+use expected::Expectations;
 use relations::Relations;
 
 /// The smaller of two places that the model holds as one; `None` if it holds one place. A group has
@@ -44,22 +44,22 @@ pub(crate) fn duplicate_place(
     if model.num_registered() < 2 * min_images.max(1) {
         return None;
     }
-    let close = Expectations::new(graph, model, CLOSE_RAD);
-    let wide = || Expectations::new(graph, model, WIDE_RAD);
+    let expectations = Expectations::new(graph, model);
     let relations = Relations::new(graph, model, max_error_px);
-    let sides = search::best_division(&close, wide, &relations, seed)?;
+    let sides = search::best_division(&expectations, &relations, seed)?;
     let num_second = sides.iter().filter(|side| **side).count();
     let num_smaller = num_second.min(sides.len() - num_second);
-    if num_smaller < min_images || !Evidence::new(&close, &sides).is_of_two_places() {
+    if num_smaller < min_images || !Evidence::new(&expectations, &sides).is_of_two_places() {
         return None;
     }
     let is_smaller = |side: &bool| *side == (num_second == num_smaller);
-    let images = close.images.iter().zip(&sides);
+    let images = expectations.images.iter().zip(&sides);
     let images = images.filter(|(_, side)| is_smaller(side)).map(|(image, _)| *image).collect();
     let contradictions = relations.contradictions.iter();
     let across = contradictions.filter(|(one, other)| sides[*one] != sides[*other]);
-    let pair =
-        |(one, other): &(usize, usize)| ImagePair::new(close.images[*one], close.images[*other]);
+    let pair = |(one, other): &(usize, usize)| {
+        ImagePair::new(expectations.images[*one], expectations.images[*other])
+    };
     Some(OtherPlace { images, connections: across.filter_map(pair).collect() })
 }
 
@@ -71,7 +71,7 @@ pub(crate) fn find_each_other(
     model: &Reconstruction,
     group: &BTreeSet<ImageId>,
 ) -> bool {
-    let expectations = Expectations::new(graph, model, CLOSE_RAD);
+    let expectations = Expectations::new(graph, model);
     let sides: Vec<bool> = expectations.images.iter().map(|id| group.contains(id)).collect();
     let [across, within] = [is_across, is_within].map(|is_of| {
         let of = || expectations.expected.iter().filter(|it| is_of(it, &sides));

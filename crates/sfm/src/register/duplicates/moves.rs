@@ -1,5 +1,7 @@
 //! Divisions that change by moves of images to the other group, and local search with them.
 
+use rayon::prelude::*;
+
 use super::division::{Counts, Points};
 
 /// Passes until nothing grows, and rounds until the weights stay. They bound the time; not varied.
@@ -115,9 +117,7 @@ pub(super) fn local_best(
             break;
         }
     }
-    // The first image is in the first group.
-    let is_first = sides.first().copied().unwrap_or(false);
-    sides.iter().map(|side| *side != is_first).collect()
+    oriented(&sides)
 }
 
 fn improve(points: &Points, sides: &mut [bool], weights: &[f64], effort: Effort) {
@@ -175,13 +175,76 @@ fn sequences(points: &Points, sides: &mut [bool], weights: &[f64]) {
 /// Returns whether the sum grew.
 fn surroundings(points: &Points, sides: &mut [bool], weights: &[f64]) -> bool {
     let mut is_changed = false;
-    for nearest in points.relations.nearest.iter().step_by(sides.len().div_ceil(MAX_CENTRES).max(1))
-    {
+    for nearest in around(points, sides.len()) {
         let mut moves = Moves::new(points, sides, weights);
         nearest[..sides.len() / 2].iter().for_each(|image| moves.move_image(*image));
         is_changed |= moves.keep_best(sides);
     }
     is_changed
+}
+
+/// A division near `sides` that no move of one image improves, with the weights of the points after
+/// the move. Other moves keep the weights, with which an image that joins its group seems to lose
+/// what its own cells say.
+pub(super) fn settled(points: &Points, mut sides: Vec<bool>) -> Vec<bool> {
+    let mut sum = points.sum(&sides);
+    for _ in 0..MAX_PASSES {
+        let gain = |image| (points.sum(&exchanged(&sides, &[image])) - sum, image);
+        let mut gains: Vec<(f64, usize)> = (0..sides.len()).into_par_iter().map(gain).collect();
+        gains.retain(|(gain, _)| *gain > MIN_GAIN);
+        gains.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+        if gains.is_empty() {
+            break;
+        }
+        for (_, image) in gains {
+            // One move changes what others gain.
+            let next = exchanged(&sides, &[image]);
+            let next_sum = points.sum(&next);
+            if next_sum > sum + MIN_GAIN {
+                (sides, sum) = (next, next_sum);
+            }
+        }
+    }
+    oriented(&sides)
+}
+
+/// [`settled`], also with moves of the images around one, the nearest ones.
+pub(super) fn settled_around(points: &Points, mut sides: Vec<bool>) -> Vec<bool> {
+    loop {
+        sides = settled(points, sides);
+        let mut sum = points.sum(&sides);
+        let before = sides.clone();
+        for nearest in around(points, sides.len()) {
+            let moved = |num: usize| (points.sum(&exchanged(&sides, &nearest[..num])), num);
+            let sums: Vec<(f64, usize)> =
+                (2..=sides.len() / 2).into_par_iter().map(moved).collect();
+            let best = sums.into_iter().max_by(|a, b| a.0.total_cmp(&b.0).then(b.1.cmp(&a.1)));
+            if let Some((best, num)) = best.filter(|(best, _)| *best > sum + MIN_GAIN) {
+                (sides, sum) = (exchanged(&sides, &nearest[..num]), best);
+            }
+        }
+        if sides == before {
+            return oriented(&sides);
+        }
+    }
+}
+
+/// The division with some images in the other group.
+fn exchanged(sides: &[bool], images: &[usize]) -> Vec<bool> {
+    let mut exchanged = sides.to_vec();
+    images.iter().for_each(|image| exchanged[*image] = !exchanged[*image]);
+    exchanged
+}
+
+/// The first image is in the first group.
+fn oriented(sides: &[bool]) -> Vec<bool> {
+    let is_first = sides.first().copied().unwrap_or(false);
+    sides.iter().map(|side| *side != is_first).collect()
+}
+
+/// The other images around each of several, the nearest first.
+fn around<'a>(points: &'a Points, num_images: usize) -> impl Iterator<Item = &'a Vec<usize>> {
+    points.relations.nearest.iter().step_by(num_images.div_ceil(MAX_CENTRES).max(1))
 }
 
 #[cfg(test)]
@@ -247,6 +310,31 @@ mod tests {
                 sides[image] = !sides[image];
             }
         }
+    }
+
+    /// Where the search with constant weights ends, single moves may still gain.
+    #[test]
+    fn no_move_of_one_image_improves_a_settled_division() {
+        let mut num_improved = 0;
+        for seed in 0..DRAWS {
+            let mut rng = Rng::stream(seed, &[]);
+            let (expectations, relations) = random(&mut rng);
+            let points = Points::new(&expectations, &relations).expect("many points are found");
+            let first: Vec<bool> = (0..IMAGES).map(|_| rng.below(2) == 1).collect();
+            let is_improved = |sides: &[bool]| {
+                let sum = points.sum(sides) + 2.0 * MIN_GAIN;
+                (0..IMAGES).any(|image| points.sum(&exchanged(sides, &[image])) > sum)
+            };
+            let searched = local_best(&points, first, true, Effort::Surroundings);
+            num_improved += usize::from(is_improved(&searched));
+            let mut sum = points.sum(&searched);
+            for settled in [settled(&points, searched.clone()), settled_around(&points, searched)] {
+                assert!(!is_improved(&settled), "seed {seed}");
+                assert!(points.sum(&settled) > sum - TOLERANCE, "seed {seed}");
+                sum = points.sum(&settled);
+            }
+        }
+        assert!(num_improved > 0);
     }
 
     /// With the same weights.
