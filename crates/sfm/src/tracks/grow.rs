@@ -214,7 +214,8 @@ pub fn retriangulate(
 /// Relative decrease of the cost by a step below which an adjustment ends after which the tracks
 /// are updated. An update changes the cost by 5e-3 to 8e-3 (the street of `tiepoint demo`), so that
 /// smaller steps are lost. With 1e-4 the adjustments between updates take a third more steps; from
-/// 1e-4 to 5e-4 the final cost there changes by 4e-4 and the position error by 0.4 %.
+/// 1e-4 to 5e-4 the final cost there changes by 4e-4 and the position error by 0.4 %
+/// (docs/benchmarks/ba.md).
 pub(crate) const TOLERANCE_BEFORE_TRACK_UPDATE: f64 = 5e-4;
 
 /// Updates all tracks after an adjustment: runs [`retriangulate`], [`complete_tracks`] and
