@@ -1,5 +1,5 @@
-//! Renders an open street and a loop, reconstructs each with `--rig off` and `auto`, the street also
-//! with `paper`, and compares the models with the ground truth.
+//! Renders an open street and a loop, reconstructs each with `--rig off` and `auto`, the street
+//! also with `paper`, and compares the models with the ground truth.
 
 use std::num::NonZeroUsize;
 use std::path::PathBuf;

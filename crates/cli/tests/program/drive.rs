@@ -1,6 +1,7 @@
 //! Rendered drives and collections: their files, and the reconstruction of drives.
 
 use std::fs;
+use std::path::Path;
 
 use crate::tiepoint_in;
 
@@ -175,16 +176,7 @@ fn the_demo_reconstructs_what_it_rendered() {
     let length = centre.iter().map(|value| value * value).sum::<f64>().sqrt();
     let baseline_m = length * auto["poses"]["scale"].as_f64().unwrap();
     assert!((baseline_m / BASELINE_M - 1.0).abs() < MAX_BASELINE_ERROR, "{baseline_m} m");
-    // The page shows relative poses at the times of the clock, which is not that of the stamps.
-    let page = tiepoint_in(dir, "view {}/demo/loop/auto --json").done().json();
-    let page = fs::read_to_string(page["report"].as_str().unwrap()).unwrap();
-    let data = page.split("id=\"data\">").nth(1).unwrap().split("</script>").next().unwrap();
-    let data: serde_json::Value = serde_json::from_str(data).unwrap();
-    let shown = &data["sections"][0]["models"][0]["rigs"][0];
-    assert_eq!(shown["has_clock"], true);
-    let baselines = shown["baselines"].as_array().unwrap();
-    let sum: f64 = baselines.iter().map(|value| value.as_f64().unwrap()).sum();
-    let mean = sum / baselines.len() as f64;
+    let mean = shown_baseline(dir);
     assert!((mean / length - 1.0).abs() < MAX_SHOWN_ERROR, "{mean} and {length}");
     for run in [off, paper] {
         let model = &run["report"]["models"][0];
@@ -231,4 +223,17 @@ fn the_demo_reconstructs_what_it_rendered() {
     synths.iter().for_each(|line| drop(tiepoint_in(dir, line).done()));
     let alone = tiepoint_in(dir, &format!("{} --json", printed("evaluate ")[3])).done().json();
     assert_eq!(&alone, evaluation);
+}
+
+/// The mean baseline on the page of the loop, which shows relative poses at the times of the clock
+/// and not of the stamps.
+fn shown_baseline(dir: &Path) -> f64 {
+    let page = tiepoint_in(dir, "view {}/demo/loop/auto --json").done().json();
+    let page = fs::read_to_string(page["report"].as_str().unwrap()).unwrap();
+    let data = page.split("id=\"data\">").nth(1).unwrap().split("</script>").next().unwrap();
+    let data: serde_json::Value = serde_json::from_str(data).unwrap();
+    let shown = &data["sections"][0]["models"][0]["rigs"][0];
+    assert_eq!(shown["has_clock"], true);
+    let baselines = shown["baselines"].as_array().unwrap();
+    baselines.iter().map(|value| value.as_f64().unwrap()).sum::<f64>() / baselines.len() as f64
 }
