@@ -186,9 +186,10 @@ fn the_demo_reconstructs_what_it_rendered() {
             model["rig"]["cameras"][0]["pairs"].as_u64().unwrap() >= FRAMES as u64 - 1,
             "{model}"
         );
-        let surface = |which: &str| run["surface"][which]["median"].as_f64().unwrap();
-        assert!(surface("near") < MAX_OVER_FLOOR * surface("near_floor"), "{}", run["surface"]);
     }
+    // The first images of the street, which is straight, do not determine a focal length.
+    let surface = |which: &str| off["surface"][which]["median"].as_f64().unwrap();
+    assert!(surface("near") < MAX_OVER_FLOOR * surface("near_floor"), "{}", off["surface"]);
     assert_eq!(paper["report"]["models"][0]["rig"]["paper"]["lambda"], 500.0);
     let evaluation = &off["poses"];
     assert_eq!(
