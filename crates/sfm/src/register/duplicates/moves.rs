@@ -224,7 +224,7 @@ pub(super) fn settled_around(points: &Points, mut sides: Vec<bool>) -> Vec<bool>
             }
         }
         if sides == before {
-            return oriented(&sides);
+            return sides;
         }
     }
 }
@@ -236,7 +236,7 @@ fn exchanged(sides: &[bool], images: &[usize]) -> Vec<bool> {
     exchanged
 }
 
-/// The first image is in the first group.
+/// The same division, with the first image in the first group.
 fn oriented(sides: &[bool]) -> Vec<bool> {
     let is_first = sides.first().copied().unwrap_or(false);
     sides.iter().map(|side| *side != is_first).collect()
