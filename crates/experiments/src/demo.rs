@@ -48,8 +48,8 @@ struct Setting {
 }
 
 /// The drives. Lengths, rates and pairs were chosen on the seeds 101 to 106, so that the demo is
-/// short. The loop leaves out `paper` for the same reason. With them the ATE of `auto` over that of `off` is 0.17 to
-/// 0.33 on the street; with images of 400 × 300 it was 0.14 to 0.69.
+/// short. The loop leaves out `paper` for the same reason. With them the ATE of `auto` over that of
+/// `off` is 0.17 to 0.33 on the street; with images of 400 × 300 it was 0.14 to 0.69.
 const SETTINGS: [Setting; 2] = [
     Setting {
         name: "street",
