@@ -236,7 +236,9 @@ def table_kitti(runs):
         cells = []
         for mode in KITTI_MODES:
             errors = [r["ate_cm"] for r in runs if (r["drive"], r["mode"]) == (drive, mode)]
-            cells.append(f"{middle(errors, 2)} ({min(errors):.2f} to {max(errors):.2f})")
+            # The loop leaves out `paper`.
+            spread = lambda: f"{middle(errors, 2)} ({min(errors):.2f} to {max(errors):.2f})"
+            cells.append(spread() if errors else "-")
         rows.append([drive, *cells])
     return rows
 

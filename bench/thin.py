@@ -176,7 +176,8 @@ def cuts(data, programs, scratch, draws):
 
 def verdict(workspace, truth, parts):
     """What became of two parts, the share of wrong pairs, and the photos of the models."""
-    found = [poses(model) for model in read_models(workspace / "sparse")]
+    sparse = workspace / "sparse"
+    found = [poses(model) for model in read_models(sparse)] if sparse.is_dir() else []
     sizes = ", ".join(str(size) for size in sorted(map(len, found), reverse=True)) or "-"
     what, most = None, 0.0
 

@@ -54,17 +54,20 @@ pub(crate) fn shard(report: &ShardReport) -> String {
 }
 
 /// What may be done next with a workspace: commands, and what each is for.
-fn next_commands(workspace: &Path, report: &Report) -> Vec<(String, &'static str)> {
-    let workspace = shell_word(workspace);
+fn next_commands(root: &Path, report: &Report) -> Vec<(String, &'static str)> {
+    let workspace = shell_word(root);
     let stages = &report.stages;
     let Some(model) = report.models.first() else {
         let next = if stages.matches.is_some() { "map" } else { "match" };
         return vec![(format!("tiepoint {next} {workspace}"), "the next stage")];
     };
+    // Each workspace has a folder of its own: a second one would replace the first.
+    let name = root.file_name().map_or_else(String::new, |name| name.to_string_lossy().into());
+    let splats = shell_word(Path::new(&format!("splats_{name}")));
     let mut commands = vec![
         (format!("tiepoint view {workspace}"), "writes report.html, to look at it in a browser"),
         (
-            format!("tiepoint undistort {workspace} -o splats"),
+            format!("tiepoint undistort {workspace} -o {splats}"),
             "images and model as trainers of Gaussian splats read them",
         ),
     ];
@@ -74,8 +77,9 @@ fn next_commands(workspace: &Path, report: &Report) -> Vec<(String, &'static str
     }
     let is_unknown = model.rig.as_ref().is_some_and(|rig| rig.mode != "known");
     if is_unknown && model.scale.is_none() && model.positions.is_none() {
-        let what = "in metres, with the distance of the first two cameras; the scale is arbitrary";
-        commands.push((format!("tiepoint map {workspace} --redo map --baseline 0.62m"), what));
+        let what =
+            "in metres, if X is the distance of the first two cameras; the scale is arbitrary";
+        commands.push((format!("tiepoint map {workspace} --redo map --baseline Xm"), what));
     }
     commands
 }
@@ -255,8 +259,9 @@ fn stages(report: &Report) -> String {
 
 /// What mapping found out about the cameras of the first model, a line each.
 fn cameras(report: &Report) -> Vec<String> {
-    let lenses = calibrations(report).into_iter().chain(uncertain_focal_lengths(report));
-    let mut lines: Vec<String> = lenses.map(|lens| format!("lens      {lens}")).collect();
+    let lenses = calibrations(report);
+    let mut lines: Vec<String> =
+        lenses.into_iter().map(|lens| format!("lens      {lens}")).collect();
     let cameras = report.models.first().into_iter().flat_map(|model| &model.cameras);
     for (id, readout_s) in cameras.filter_map(|camera| Some((camera.id, camera.readout_s?))) {
         lines.push(format!("shutter   camera {id}: readout time {:.2} ms", 1e3 * readout_s));
@@ -294,29 +299,6 @@ fn calibrations(report: &Report) -> Vec<String> {
             false => moved.join(", "),
         };
         Some(format!("camera {id}: {moved} standard deviations from its calibration"))
-    });
-    lines.take(MAX_NAMES).collect()
-}
-
-/// Relative standard deviation of a focal length from which on it is told: 95 % of the true values
-/// lie in a tenth of it.
-const UNCERTAIN_FOCAL: f64 = 0.025;
-
-/// The focal lengths that the images of the first model hardly determine, a line each.
-fn uncertain_focal_lengths(report: &Report) -> Vec<String> {
-    let cameras = report.models.first().into_iter().flat_map(|model| &model.cameras);
-    let lines = cameras.filter_map(|camera| {
-        let kind = CameraModelKind::from_name(&camera.model).ok()?;
-        let index = *kind.focal_indices().first()?;
-        let (id, focal_px, sd_px) =
-            (camera.id, *camera.params.get(index)?, *camera.params_sd.get(index)?);
-        let (low, high) = ((focal_px - 2.0 * sd_px).max(0.0), focal_px + 2.0 * sd_px);
-        (sd_px > UNCERTAIN_FOCAL * focal_px).then(|| {
-            format!(
-                "camera {id}: the images hardly determine its focal length: {low:.0} to \
-                {high:.0} px (95 %); add images that rotate, or give --calibration"
-            )
-        })
     });
     lines.take(MAX_NAMES).collect()
 }

@@ -347,7 +347,7 @@ fn workspace_of(located: &LocatedModel) -> Result<Option<(&Path, Option<Report>)
 }
 
 /// The name of a model that is in no workspace: that of its folder, or of COLMAP's project folder
-/// in `PROJECT/sparse/0`.
+/// in `PROJECT/sparse/0`; with the number of another model, so that each has a page of its own.
 fn name_of(folder: &Path) -> String {
     let folder = folder.canonicalize().unwrap_or_else(|_| folder.to_owned());
     let mut names = folder.components().rev().filter_map(|part| match part {
@@ -355,7 +355,12 @@ fn name_of(folder: &Path) -> String {
         _ => None,
     });
     let is_name = |name: &Cow<str>| name != SPARSE && name.parse::<u64>().is_err();
-    names.find(is_name).map_or_else(|| "model".to_owned(), Cow::into_owned)
+    let name = names.find(is_name).map_or_else(|| "model".to_owned(), Cow::into_owned);
+    let number = folder.file_name().and_then(|it| it.to_str()?.parse::<u64>().ok());
+    match number {
+        None | Some(0) => name,
+        Some(number) => format!("{name}-{number}"),
+    }
 }
 
 /// Writes the page of a model, or that of a workspace whose largest model it is.

@@ -76,6 +76,26 @@ pub fn pairs_by_name(references: &[&str], others: &[&str]) -> Vec<(usize, usize)
     pairs
 }
 
+/// The numbers of the frames of one stream, from their file names; `None` if not exactly one number
+/// varies from name to name, or two names have the same one.
+pub(crate) fn frame_numbers(names: &[&str]) -> Option<Vec<f64>> {
+    let of_names: Vec<Vec<&[u8]>> = names.iter().map(|name| numbers(name)).collect();
+    let first = of_names.first()?;
+    if of_names.iter().any(|numbers| numbers.len() != first.len()) {
+        return None;
+    }
+    let varies = |field: &usize| of_names.iter().any(|numbers| numbers[*field] != first[*field]);
+    let mut varying = (0..first.len()).filter(varies);
+    let (field, None) = (varying.next()?, varying.next()) else { return None };
+    let value = |numbers: &Vec<&[u8]>| {
+        let digits = numbers[field].iter().map(|digit| f64::from(digit - b'0'));
+        digits.fold(0.0, |value, digit| 10.0 * value + digit)
+    };
+    let values: Vec<f64> = of_names.iter().map(value).collect();
+    let unique: BTreeSet<u64> = values.iter().map(|value| value.to_bits()).collect();
+    (unique.len() == values.len()).then_some(values)
+}
+
 /// Keys of the images of a camera from the numbers in their names: all numbers that vary, and each
 /// of them. A list in which two images have the same key is empty.
 fn number_keys(names: &[&str]) -> Vec<Vec<Vec<u8>>> {
@@ -111,6 +131,18 @@ fn equal(references: &[Vec<u8>], others: &[Vec<u8>]) -> Vec<(usize, usize)> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn frames_have_the_one_number_that_varies() {
+        let numbers = |names: &[&str]| frame_numbers(names);
+        assert_eq!(numbers(&["a/cam1_000.png", "a/cam1_010.png"]), Some(vec![0.0, 10.0]));
+        assert_eq!(numbers(&["3.jpg", "20.png", "100.png"]), Some(vec![3.0, 20.0, 100.0]));
+        for unnumbered in [&["1_2.png", "2_3.png"][..], &["a.png", "b.png"], &["1.png", "1.jpg"]] {
+            assert_eq!(numbers(unnumbered), None, "{unnumbered:?}");
+        }
+        assert_eq!(numbers(&["1.png", "x.png"]), None);
+        assert_eq!(numbers(&[]), None);
+    }
 
     #[test]
     fn numbers_count_by_value() {

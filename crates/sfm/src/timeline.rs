@@ -6,6 +6,8 @@ use tiepoint_geometry::Rigid3;
 use tiepoint_rig::{interval_s, timestamp_jitter_s};
 use tiepoint_scene::{CameraId, ImageId, Reconstruction};
 
+use crate::frame_names::frame_numbers;
+
 /// Returns the images of each camera.
 pub(crate) fn images_of_cameras(scene: &Reconstruction) -> BTreeMap<CameraId, Vec<ImageId>> {
     let mut images: BTreeMap<CameraId, Vec<ImageId>> = BTreeMap::new();
@@ -60,6 +62,39 @@ pub(crate) fn posed_in_time(
     posed.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
     if is_rounded(posed.iter().map(|(time_s, ..)| *time_s)) { Vec::new() } else { posed }
 }
+
+/// Returns the images of a stream without times by the numbers of their frames, in order; `None` if
+/// no number in their names tells them apart ([`frame_numbers`]).
+pub(crate) fn images_by_number(
+    scene: &Reconstruction,
+    images: &[ImageId],
+) -> Option<Vec<(f64, ImageId)>> {
+    let names: Vec<&str> = images.iter().map(|id| scene.image(*id).name.as_str()).collect();
+    let mut numbered: Vec<(f64, ImageId)> =
+        frame_numbers(&names)?.into_iter().zip(images.iter().copied()).collect();
+    numbered.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+    Some(numbered)
+}
+
+/// Returns the registered images of a camera by the numbers of their frames, for each stream that
+/// has some.
+pub(crate) fn posed_by_number(
+    model: &Reconstruction,
+    camera: CameraId,
+) -> Vec<Vec<(f64, ImageId, Rigid3)>> {
+    let mut streams: BTreeMap<&str, Vec<ImageId>> = BTreeMap::new();
+    for (id, image, _) in model.registered().filter(|(_, image, _)| image.camera == camera) {
+        streams.entry(&image.stream).or_default().push(id);
+    }
+    let posed =
+        |(number, id): (f64, ImageId)| Some((number, id, *model.image(id).cam_from_world()?));
+    let numbered = streams.values().filter_map(|images| images_by_number(model, images));
+    numbered.map(|images| images.into_iter().filter_map(posed).collect()).collect()
+}
+
+/// Largest change of the velocity from one image to the next, relative to the usual speed, of
+/// frames that follow a smooth motion. As usual, both are 90 % quantiles.
+pub(crate) const MAX_CHANGE: f64 = 0.5;
 
 /// Quantile of speeds or accelerations that defines the usual one.
 const USUAL_QUANTILE: f64 = 0.9;

@@ -69,8 +69,8 @@ fn panoramas_and_copies_are_named() {
     for part in [
         "2 photos say that they are panoramas, which have no lens: p0.jpg, p1.jpg; give \
          --camera-model EQUIRECTANGULAR",
-        "1 photos are there twice, and add nothing: 1.png and z.png; keep one",
-        "1 photos are there twice by their names, and add nothing: 0.jpg and 0.png; keep one",
+        "1 photo is there twice; the second one adds little: 1.png and z.png",
+        "1 photo is there twice by their names; the second one adds little: 0.jpg and 0.png",
     ] {
         assert!(said.contains(part), "{part}: {said}");
     }

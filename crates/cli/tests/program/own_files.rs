@@ -7,6 +7,8 @@ use std::path::{Path, PathBuf};
 use crate::{photos, tiepoint_in};
 
 const COUNT: usize = 4;
+/// The cameras of the photos as COLMAP writes them.
+const CAMERAS: &str = "1 PINHOLE 320 240 330 330 160 120\n";
 
 /// All regular files below a folder with their content.
 pub(crate) fn files(dir: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
@@ -415,10 +417,15 @@ fn no_command_replaces_a_file_that_it_reads_or_did_not_make() {
 fn an_export_with_overwrite_keeps_what_the_model_was_made_of() {
     let dir = tempfile::tempdir().unwrap();
     let dir = dir.path();
-    reconstructed(dir, "photos");
-    for target in ["photos/0.png", "ws/database.db"] {
+    photos::write(&dir.join("photos"), COUNT, 0);
+    let names = (0..COUNT).map(|k| format!("{k}.png,{k}\n")).collect::<String>();
+    fs::write(dir.join("times.csv"), format!("image,seconds\n{names}")).unwrap();
+    fs::write(dir.join("cameras.txt"), CAMERAS).unwrap();
+    let read = "--timestamps {}/times.csv --calibration {}/cameras.txt";
+    tiepoint_in(dir, &format!("reconstruct {{}}/photos -o {{}}/ws {read}")).done();
+    for target in ["photos/0.png", "ws/database.db", "times.csv", "cameras.txt"] {
         let before = fs::read(dir.join(target)).unwrap();
-        for format in ["ply", "bal", "gltf"] {
+        for format in ["ply", "csv", "gltf"] {
             let line = format!("export {{}}/ws --to {format} -o {{}}/{target} --overwrite");
             tiepoint_in(dir, &line).failed(1, &["is read by this command"]);
             assert!(fs::read(dir.join(target)).unwrap() == before, "{line}");

@@ -72,6 +72,11 @@ fn a_video_is_a_camera_whose_frames_have_times() {
         let expected = CREATED_S + index as f64 / RATE_HZ as f64;
         assert!((seconds - expected).abs() < TIME_TOLERANCE_S, "{seconds} {expected}");
     }
+    // No result of the workspace replaces the video.
+    let film_before = std::fs::read(dir.path().join("front.mov")).unwrap();
+    tiepoint_in(dir.path(), "export {}/ws --to ply -o {}/front.mov --overwrite")
+        .failed(1, &["front.mov is read by this command"]);
+    assert!(std::fs::read(dir.path().join("front.mov")).unwrap() == film_before);
     // A second run keeps the frames; another --every is an error.
     let events = run().done().events();
     assert!(events.iter().all(|event| event["event"] == "stage_kept"), "{events:?}");

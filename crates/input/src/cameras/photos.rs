@@ -195,8 +195,9 @@ impl Photos {
             pairs.sort_unstable();
             let shown = first_names(&pairs.iter().map(String::as_str).collect::<Vec<_>>());
             let count = pairs.len();
+            let photos = if count == 1 { "photo is" } else { "photos are" };
             (count > 0).then(|| {
-                format!("{count} photos are there twice{what}, and add nothing: {shown}; keep one")
+                format!("{count} {photos} there twice{what}; the second one adds little: {shown}")
             })
         };
         let same = pairs(by_content.into_values().collect(), "");

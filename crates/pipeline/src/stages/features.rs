@@ -129,9 +129,8 @@ pub(crate) fn extract_features_of(
     let photos = &photos.with_max_pixels(options.max_pixels);
     let (survey, recipe, skipped) = Survey::new(photos, options)?;
     let calibration_files = options.calibration_files.iter().map(|source| source.path.as_path());
-    workspace
-        .folder
-        .protect(photos.files().chain(options.timestamps.as_deref()).chain(calibration_files));
+    workspace.folder.protect(photos.files());
+    workspace.protect_sources(options.timestamps.as_deref().into_iter().chain(calibration_files));
     let inputs = Some(photos.inputs.clone());
     let request = StageRequest { stage: Stage::Features, recipe: recipe.clone(), redo, inputs };
     check(workspace, &survey.scene())?;

@@ -54,7 +54,7 @@ pub fn import_features(
         Recipe::new(fingerprint.clone(), option_keys::database_options(&fingerprint, has_pairs));
     let absolute = |path: &PathBuf| path.canonicalize().map_err(Error::unreadable(path));
     let inputs: Vec<PathBuf> = inputs.iter().map(absolute).collect::<Result<_, _>>()?;
-    workspace.folder.protect([file]);
+    workspace.protect_sources([file]);
     let request = StageRequest { stage: Stage::Features, recipe, redo, inputs: Some(inputs) };
     workspace.run_stage(request, watch, |run| copy_database(file, run))
 }

@@ -274,6 +274,13 @@ impl<'a> MapRequest<'a> {
             mapper = model.options(mapper)?;
             workspace.folder.protect(model.files());
         }
+        let positions_file = match &given.position_priors {
+            PositionPriors::File(file) => Some(file.as_path()),
+            PositionPriors::Auto | PositionPriors::Off => None,
+        };
+        let points_file = given.control_points.as_deref();
+        let files = [rig_calibration, positions_file, points_file];
+        workspace.protect_sources(files.into_iter().flatten());
         let hash = rig_calibration.map(hash_file).transpose()?;
         texts.extend(option_keys::rig_calibration_options(hash, refine_extrinsics));
         let control_points =

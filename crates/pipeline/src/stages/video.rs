@@ -119,7 +119,10 @@ pub fn open_input(
         .iter()
         .map(|recording| Ok((recording.name.clone(), hash_file_ends(&recording.chapters)?)));
     let videos = videos.collect::<Result<Vec<_>, Error>>()?;
-    let workspace = Workspace::create(root)?;
+    let chapters: Vec<PathBuf> =
+        recordings.iter().flat_map(|recording| recording.chapters.clone()).collect();
+    let mut workspace = Workspace::create(root)?;
+    workspace.protect_sources(chapters.iter().map(PathBuf::as_path));
     let folder = workspace.root().join(FRAMES);
     let (mut frames, before) = open_frames(&folder)?;
     let times = folder.join(TIMES);
@@ -131,9 +134,7 @@ pub fn open_input(
             return Err(Error::OtherFrames { path: folder });
         }
         let earlier: Vec<String> = frames.names().map(str::to_owned).collect();
-        frames.protect(
-            recordings.iter().flat_map(|recording| &recording.chapters).map(PathBuf::as_path),
-        );
+        frames.protect(chapters.iter().map(PathBuf::as_path));
         frames.ensure_writable(earlier.iter().map(String::as_str))?;
         let (mut names, notes, positions) = extract(&recordings, &frames, every, watch)?;
         let record = Record { every, videos, notes, positions };

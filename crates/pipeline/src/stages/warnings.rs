@@ -4,12 +4,13 @@ use std::collections::BTreeMap;
 
 use tiepoint_sfm::RigMode;
 use tiepoint_sfm::diagnostics::{self, ImageScale};
+use tiepoint_sfm::geometry::CameraModelKind;
 use tiepoint_sfm::geometry::numeric::median;
 use tiepoint_sfm::scene::{CameraId, ImageId, Reconstruction};
 
-use crate::workspace::report::ModelReport;
+use crate::workspace::report::{CameraReport, ModelReport};
 use crate::workspace::rig_report::RigCameraReport;
-use crate::workspace::warning::{ModelGap, ScaledImage, Warning};
+use crate::workspace::warning::{ModelGap, ParameterChange, ScaledImage, Warning};
 
 /// Smallest deviation of an image's scale from the median of its camera, in standard deviations. Of
 /// normal errors one image in 1.7 million deviates by more.
@@ -41,6 +42,12 @@ const FISHEYE_FOCAL: f64 = 0.6;
 /// Largest ratio of a focal length and that of EXIF or of the user. EXIF rounds to a millimetre of
 /// 24 (2 %), refers to a diagonal or a width (5 %), and leaves out the crop of a stabiliser (10 %).
 const MAX_FOCAL_RATIO: f64 = 1.25;
+/// Relative standard deviation of a focal length from which on it is told: 95 % of the true values
+/// lie in a tenth of it.
+const UNCERTAIN_FOCAL: f64 = 0.025;
+/// A calibration of which a parameter was refined by more standard deviations is contradicted. By
+/// default one of them is a pixel at the border of the image. Not varied.
+const MAX_DEVIATIONS: f64 = 5.0;
 /// Focal lengths relative to the larger side of perspective lenses: views of 118° to 5°.
 const FOCAL_RANGE: [f64; 2] = [0.3, 12.0];
 /// Smallest scatter of a rig's relative poses, relative to the baseline.
@@ -73,6 +80,8 @@ pub(crate) fn warnings_of_models<'a>(
         sizes.push(report.registered);
         let place = Place { model, path: &report.path };
         warnings.extend(place.focal_lengths(initial));
+        warnings.extend(place.uncertain_focal_lengths(report));
+        warnings.extend(place.contradicted_calibrations(report));
         warnings.extend(place.lenses());
         warnings.extend(place.scaled_images());
         warnings.extend(place.rig(report));
@@ -128,6 +137,45 @@ impl Place<'_> {
             is_far.then_some(Warning::FocalLength { model, camera, focal_px, expected_px, side_px })
         };
         used.into_iter().filter_map(warning).collect()
+    }
+
+    fn uncertain_focal_lengths(&self, report: &ModelReport) -> Vec<Warning> {
+        let warning = |camera: &CameraReport| {
+            let kind = CameraModelKind::from_name(&camera.model).ok()?;
+            let index = *kind.focal_indices().first()?;
+            let (focal_px, sd_px) = (*camera.params.get(index)?, *camera.params_sd.get(index)?);
+            let (model, is_calibrated) = (self.path(), camera.calibration.is_some());
+            (sd_px > UNCERTAIN_FOCAL * focal_px).then_some(Warning::UncertainFocalLength {
+                model,
+                camera: camera.id,
+                focal_px,
+                sd_px,
+                is_calibrated,
+            })
+        };
+        report.cameras.iter().filter_map(warning).collect()
+    }
+
+    fn contradicted_calibrations(&self, report: &ModelReport) -> Vec<Warning> {
+        let warning = |camera: &CameraReport| {
+            let calibration = camera.calibration.as_ref()?;
+            let names = CameraModelKind::from_name(&camera.model).ok()?.param_names();
+            let size = |index: &usize| calibration.deviations[*index].abs();
+            let most = (0..calibration.deviations.len().min(names.len()))
+                .max_by(|a, b| size(a).total_cmp(&size(b)))?;
+            let (model, deviations) = (self.path(), calibration.deviations[most]);
+            (deviations.abs() > MAX_DEVIATIONS).then_some(Warning::ContradictedCalibration {
+                model,
+                camera: camera.id,
+                change: ParameterChange {
+                    parameter: names[most].to_owned(),
+                    given: calibration.params[most],
+                    found: camera.params[most],
+                    deviations,
+                },
+            })
+        };
+        report.cameras.iter().filter_map(warning).collect()
     }
 
     fn lenses(&self) -> Vec<Warning> {

@@ -218,6 +218,15 @@ impl Workspace {
         fork.note(|all| *all = report)
     }
 
+    /// Keeps files that a stage reads beside the photos: no result replaces them, then or later.
+    pub(crate) fn protect_sources<'a>(&mut self, files: impl IntoIterator<Item = &'a Path>) {
+        for file in files {
+            self.folder.protect([file]);
+            // A file that is not there makes its stage fail.
+            self.records.sources.extend(file.canonicalize());
+        }
+    }
+
     /// Folder of the workspace.
     pub fn root(&self) -> &Path {
         &self.root

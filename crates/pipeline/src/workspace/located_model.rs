@@ -104,9 +104,12 @@ impl LocatedModel {
         &self.folder
     }
 
-    /// Paths of all files that the model may have, which no result may replace.
+    /// Paths of all files that the model may have, and of what its workspace was made of beside the
+    /// photos. No result may replace them.
     pub fn files(&self) -> Vec<PathBuf> {
-        model_files(&self.folder)
+        let records = self.workspace().and_then(|root| current_records(root).ok());
+        let sources = records.map(|records| records.sources).unwrap_or_default();
+        model_files(&self.folder).into_iter().chain(sources).collect()
     }
 
     /// The format of COLMAP's files.

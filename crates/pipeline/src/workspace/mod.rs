@@ -43,4 +43,4 @@ pub use rig_report::{ExtrinsicsReport, PaperReport, RigCameraReport, RigReport, 
 pub use shards::ShardReport;
 pub use unregistered::{NearestImage, Reason, UnregisteredImage, why_unregistered};
 pub use verdict::verdict;
-pub use warning::{ModelGap, ScaledImage, Warning};
+pub use warning::{ModelGap, ParameterChange, ScaledImage, Warning};

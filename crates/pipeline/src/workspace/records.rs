@@ -127,6 +127,10 @@ pub(crate) enum Progress {
 pub(crate) struct Records {
     /// Input folders of the photos.
     pub(crate) inputs: Vec<PathBuf>,
+    /// What stages read beside the photos: videos, calibrations, times. Those of earlier runs stay
+    /// in the list, as no result may replace them.
+    #[serde(default, skip_serializing_if = "BTreeSet::is_empty")]
+    pub(crate) sources: BTreeSet<PathBuf>,
     stages: BTreeMap<Stage, Record>,
 }
 

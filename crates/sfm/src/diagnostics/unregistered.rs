@@ -89,7 +89,8 @@ pub fn unregistered_images(
         .filter(|(_, image)| !image.keypoints.is_empty() && image.cam_from_world().is_none())
         .map(|(id, _)| id)
         .collect();
-    let timelines: Vec<Timelines> = models.iter().map(|model| Timelines::new(model)).collect();
+    let timelines: Vec<Timelines> =
+        models.iter().map(|model| Timelines::new(graph, model)).collect();
     let describe = |image: ImageId| {
         let posed_in = models.iter().position(|model| has_pose(model, image));
         let wanted = if posed_in.is_some() { &models[..1] } else { models };

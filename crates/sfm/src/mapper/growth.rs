@@ -53,7 +53,8 @@ impl<'a> Growth<'a> {
         let frames = refiner.input.known_rigs;
         let frames = frames.map(|rigs| KnownFrames::new(rigs, scene, &mapped_images));
         let seed = refiner.input.options.seed;
-        let next_best_view = NextBestView::new(scene, frames.unwrap_or_default(), seed);
+        let graph = refiner.input.graph;
+        let next_best_view = NextBestView::new(graph, scene, frames.unwrap_or_default(), seed);
         Self { refiner, mapped_images, extent: Extent::All, next_best_view }
     }
 

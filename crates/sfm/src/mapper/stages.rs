@@ -239,8 +239,10 @@ impl Refiner<'_> {
         } else {
             (&RefinementSchedule::BEFORE_LOOP_CLOSURE, 1)
         };
-        let (options, before) =
-            (self.adjust_options(schedule), self.solution.model.num_registered());
+        let before = self.solution.model.num_registered();
+        // No update of the tracks follows the estimation.
+        let tolerance = RefinementSchedule::FINAL.tolerance;
+        let options = self.adjust_options(&RefinementSchedule { tolerance, ..*schedule });
         let terms = &mut active(&mut self.terms, &self.solution);
         shutters.estimate(&mut self.solution.model, &options, terms)?;
         if is_last {

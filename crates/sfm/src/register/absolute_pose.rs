@@ -439,7 +439,7 @@ mod tests {
                 model.register(id, at(CENTRE - Vector3::new(STEP_M * before as f64, 0.0, 0.0)));
             }
         }
-        let timelines = Timelines::new(&model);
+        let timelines = Timelines::new(&graph, &model);
         let estimate = |motion| {
             let (unit, options) = (RegistrationUnit::Image(image), RegisterOptions::default());
             let found =

@@ -4,14 +4,19 @@
 //! one, or more. The times of the images exclude poses that the camera cannot have reached from its
 //! neighbours. Only neighbouring images have that information, so images are registered in order of
 //! time if possible.
+//!
+//! Frames without times have their numbers instead, if each has a verified pair with the next one
+//! and the camera moves as smoothly as a vehicle. Then the unit of time is a frame.
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use tiepoint_geometry::Rigid3;
 use tiepoint_geometry::nalgebra::Vector3;
-use tiepoint_scene::{CameraId, ImageId, Reconstruction};
+use tiepoint_geometry::numeric::median;
+use tiepoint_scene::{CorrespondenceGraph, ImageId, Reconstruction};
 
-use crate::timeline::{is_rounded, usual};
+use super::sequences::{Sequence, Times, sequences};
+use crate::timeline::{MAX_CHANGE, usual};
 
 /// The usual speed is the 90 % quantile over this many steps before and after an image, because the
 /// scale of a long drive drifts until lens and shutter are estimated. With fewer than `MIN_STEPS`
@@ -25,6 +30,8 @@ const MAX_DEVIATION: f64 = 2.0;
 /// A deviation of this fraction is plausible for any camera. Half and double change nothing on four
 /// rendered streets.
 const MIN_DEVIATION: f64 = 0.5;
+/// Of frames without times, one may be missing: then a step is twice as long.
+const MIN_DEVIATION_OF_FRAMES: f64 = 1.0;
 /// Between both, the limit is the deviation that so many times the usual acceleration causes. Half
 /// changes the error of one of the four streets from 14.4 to 13.6 cm, double changes nothing.
 const MAX_ACCELERATIONS: f64 = 3.0;
@@ -35,19 +42,30 @@ const MAX_NEIGHBOURS: usize = 3;
 
 /// The images of each camera in order of time.
 pub(crate) struct Timelines {
-    cameras: BTreeMap<CameraId, Vec<(f64, ImageId)>>,
-    places: BTreeMap<ImageId, usize>,
-    /// Cameras whose times were rounded to seconds, which tell an order but no motion.
-    rounded: BTreeSet<CameraId>,
+    sequences: Vec<Sequence>,
+    /// The sequence of each image, and its place there.
+    places: BTreeMap<ImageId, (usize, usize)>,
 }
 
-/// The usual motion of a camera around an image.
+/// The usual motion of a camera around an image. Where times are numbers of frames, a second stands
+/// for a frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct UsualMotion {
     /// Units of the model a second.
     speed: f64,
     /// Units of the model a square second.
     acceleration: f64,
+    /// [`MIN_DEVIATION`] or [`MIN_DEVIATION_OF_FRAMES`].
+    min_deviation: f64,
+}
+
+/// What the poses around an image tell of the motion of its camera.
+enum Motion {
+    /// They are too few, or the times tell none.
+    Unknown,
+    /// Numbers of frames are no times here.
+    Irregular,
+    Usual(UsualMotion),
 }
 
 /// A camera centre at a time.
@@ -80,7 +98,7 @@ impl UsualMotion {
             Some((beyond_s, velocity)) => {
                 let span_s = (place.time_s - beyond_s).abs();
                 let change = self.acceleration * elapsed_s.abs() * span_s / 2.0;
-                let least = MIN_DEVIATION * reach;
+                let least = self.min_deviation * reach;
                 (velocity, (MAX_ACCELERATIONS * change).max(least).min(MAX_DEVIATION * reach))
             }
             None => (Vector3::zeros(), MAX_DEVIATION * reach),
@@ -90,34 +108,24 @@ impl UsualMotion {
 }
 
 impl Timelines {
-    pub(crate) fn new(model: &Reconstruction) -> Self {
-        let mut cameras: BTreeMap<CameraId, Vec<(f64, ImageId)>> = BTreeMap::new();
-        for (id, image) in model.images() {
-            if let Some(time_s) = image.time_s.filter(|time_s| time_s.is_finite()) {
-                cameras.entry(image.camera).or_default().push((time_s, id));
-            }
-        }
+    pub(crate) fn new(graph: &CorrespondenceGraph, model: &Reconstruction) -> Self {
+        let sequences = sequences(graph, model);
         let mut places = BTreeMap::new();
-        for images in cameras.values_mut() {
-            images.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-            places.extend(images.iter().enumerate().map(|(place, (_, image))| (*image, place)));
+        for (index, sequence) in sequences.iter().enumerate() {
+            let images = sequence.images.iter().enumerate();
+            places.extend(images.map(|(place, (_, image))| (*image, (index, place))));
         }
-        let rounded = cameras
-            .iter()
-            .filter(|(_, images)| is_rounded(images.iter().map(|(time_s, _)| *time_s)))
-            .map(|(camera, _)| *camera)
-            .collect();
-        Self { cameras, places, rounded }
+        Self { sequences, places }
+    }
+
+    /// The sequence of an image, and its place there.
+    fn place(&self, image: ImageId) -> Option<(&Sequence, usize)> {
+        self.places.get(&image).map(|(sequence, place)| (&self.sequences[*sequence], *place))
     }
 
     /// Returns the images of the same camera before and after an image, nearest first.
-    fn sides<'a>(
-        &'a self,
-        model: &Reconstruction,
-        image: ImageId,
-    ) -> Option<[Vec<&'a (f64, ImageId)>; 2]> {
-        let (images, place) =
-            (self.cameras.get(&model.image(image).camera)?, *self.places.get(&image)?);
+    fn sides(&self, image: ImageId) -> Option<[Vec<&(f64, ImageId)>; 2]> {
+        let (Sequence { images, .. }, place) = self.place(image)?;
         let before = images[..place].iter().rev().take(MAX_SEARCH).collect();
         Some([before, images[place + 1..].iter().take(MAX_SEARCH).collect()])
     }
@@ -129,7 +137,10 @@ impl Timelines {
         image: ImageId,
         candidates: &BTreeSet<ImageId>,
     ) -> bool {
-        let Some(sides) = self.sides(model, image) else { return false };
+        let Some(sides) = self.sides(image) else { return false };
+        if matches!(self.motion(model, image), Motion::Irregular) {
+            return false;
+        }
         let has_pose = |other: &&(f64, ImageId)| model.image(other.1).cam_from_world().is_some();
         let nearest = sides.iter().filter_map(|side| Some((side.iter().position(has_pose)?, side)));
         nearest.min_by_key(|(steps, _)| *steps).is_some_and(|(steps, side)| {
@@ -140,27 +151,47 @@ impl Timelines {
     /// Returns the usual motion of the camera around an image; `None` with too few registered
     /// neighbours, or if the times tell no motion.
     fn usual_motion(&self, model: &Reconstruction, image: ImageId) -> Option<UsualMotion> {
-        let camera = model.image(image).camera;
-        if self.rounded.contains(&camera) {
-            return None;
+        match self.motion(model, image) {
+            Motion::Usual(usual) => Some(usual),
+            Motion::Unknown | Motion::Irregular => None,
         }
-        let (images, place) = (self.cameras.get(&camera)?, *self.places.get(&image)?);
+    }
+
+    fn motion(&self, model: &Reconstruction, image: ImageId) -> Motion {
+        let Some((Sequence { images, times }, place)) = self.place(image) else {
+            return Motion::Unknown;
+        };
         let around = place.saturating_sub(KNOWN_STEPS)..images.len().min(place + KNOWN_STEPS);
+        let around = &images[around];
         let speed = |pair: &[(f64, ImageId)]| Some(velocity(model, &pair[0], &pair[1])?.norm());
-        let speeds: Vec<f64> = images[around.clone()].windows(2).filter_map(speed).collect();
-        if speeds.len() < MIN_STEPS {
-            return None;
+        let speeds: Vec<f64> = around.windows(2).filter_map(speed).collect();
+        if *times == Times::RoundedToSeconds || speeds.len() < MIN_STEPS {
+            return Motion::Unknown;
         }
         let acceleration = |three: &[(f64, ImageId)]| {
             let before = velocity(model, &three[0], &three[1])?;
             let after = velocity(model, &three[1], &three[2])?;
             Some(2.0 * (after - before).norm() / (three[2].0 - three[0].0))
         };
-        let accelerations: Vec<f64> = images[around].windows(3).filter_map(acceleration).collect();
+        let accelerations: Vec<f64> = around.windows(3).filter_map(acceleration).collect();
         // Without three images in a row, any acceleration is usual.
-        let acceleration =
-            if accelerations.len() + 1 < MIN_STEPS { f64::INFINITY } else { usual(accelerations)? };
-        Some(UsualMotion { speed: usual(speeds)?, acceleration })
+        let are_known = accelerations.len() + 1 >= MIN_STEPS;
+        let acceleration = usual(accelerations).filter(|_| are_known).unwrap_or(f64::INFINITY);
+        let speed = usual(speeds).unwrap_or(0.0);
+        if *times == Times::Seconds {
+            let min_deviation = MIN_DEVIATION;
+            return Motion::Usual(UsualMotion { speed, acceleration, min_deviation });
+        }
+        let mut intervals: Vec<f64> = around.windows(2).map(|two| two[1].0 - two[0].0).collect();
+        let change = acceleration * median(&mut intervals).unwrap_or(0.0);
+        match change {
+            _ if !are_known => Motion::Unknown,
+            change if change <= MAX_CHANGE * speed => {
+                let min_deviation = MIN_DEVIATION_OF_FRAMES;
+                Motion::Usual(UsualMotion { speed, acceleration, min_deviation })
+            }
+            _ => Motion::Irregular,
+        }
     }
 
     /// A part of a drive that is out of reach of the images before and after it, although these are
@@ -171,7 +202,7 @@ impl Timelines {
         model: &Reconstruction,
         may_be: &dyn Fn(ImageId) -> bool,
     ) -> Option<Vec<ImageId>> {
-        self.cameras.values().find_map(|images| {
+        self.sequences.iter().find_map(|Sequence { images, .. }| {
             let place = |image: &(f64, ImageId)| Some((image.1, Place::of(model, image)?));
             let posed: Vec<(ImageId, Place)> = images.iter().filter_map(place).collect();
             let at = |index: usize| &posed[index].1;
@@ -205,12 +236,9 @@ impl Timelines {
         image: ImageId,
     ) -> Option<ExpectedMotion<'a>> {
         let usual = self.usual_motion(model, image)?;
-        Some(ExpectedMotion {
-            model,
-            usual,
-            time_s: model.image(image).time_s?,
-            sides: self.sides(model, image)?,
-        })
+        let (Sequence { images, .. }, place) = self.place(image)?;
+        let (time_s, sides) = (images[place].0, self.sides(image)?);
+        Some(ExpectedMotion { model, usual, time_s, sides })
     }
 }
 
@@ -268,11 +296,15 @@ fn velocity(
 #[cfg(test)]
 mod tests {
     use tiepoint_geometry::{CameraModelKind, Intrinsics};
-    use tiepoint_scene::{Camera, Image};
+    use tiepoint_scene::{Camera, Image, ImagePair, TwoView, TwoViewKind};
 
     use super::*;
 
     const IMAGES: usize = 32;
+
+    fn unconnected() -> CorrespondenceGraph {
+        CorrespondenceGraph::new(&[0; IMAGES], [])
+    }
 
     fn at(x: f64) -> Rigid3 {
         Rigid3 { translation: Vector3::new(-x, 0.0, 0.0), ..Rigid3::identity() }
@@ -301,7 +333,7 @@ mod tests {
     #[test]
     fn an_image_waits_for_candidates_between_it_and_the_model() {
         let (model, images) = drive(4);
-        let timelines = Timelines::new(&model);
+        let timelines = Timelines::new(&unconnected(), &model);
         let candidates = BTreeSet::from([images[4], images[7]]);
         assert!(!timelines.must_wait(&model, images[4], &candidates));
         assert!(timelines.must_wait(&model, images[7], &candidates));
@@ -313,16 +345,60 @@ mod tests {
     fn cameras_without_times_do_not_wait() {
         let (mut model, images) = drive(4);
         images.iter().for_each(|&image| model.set_time(image, None));
-        let timelines = Timelines::new(&model);
+        let timelines = Timelines::new(&unconnected(), &model);
         assert!(!timelines.must_wait(&model, images[7], &images.iter().copied().collect()));
         assert_eq!(timelines.usual_motion(&model, images[7]), None);
+    }
+
+    /// Verified pairs of images that are next to each other in a list.
+    fn linked(images: &[ImageId]) -> CorrespondenceGraph {
+        let two_view = TwoView { kind: TwoViewKind::Calibrated, ..TwoView::default() };
+        let pairs = images.windows(2).filter_map(|two| ImagePair::new(two[0], two[1]));
+        let pairs: Vec<_> = pairs.map(|pair| (pair, two_view.clone())).collect();
+        CorrespondenceGraph::new(&[0; IMAGES], pairs)
+    }
+
+    /// The motion at an image, of cameras without times.
+    #[test]
+    fn frames_with_numbers_have_a_motion_if_it_is_smooth() {
+        let known = MIN_STEPS + 2;
+        let (mut model, images) = drive(known);
+        images.iter().for_each(|&image| model.set_time(image, None));
+        let next = images[known];
+        let contradicts = |graph: &CorrespondenceGraph, model: &Reconstruction, x: f64| {
+            let timelines = Timelines::new(graph, model);
+            let expected = timelines.expected_motion(model, next)?;
+            Some(expected.contradicts(&at(x)))
+        };
+        let graph = linked(&images);
+        // The names count down.
+        let place = known as f64;
+        assert_eq!(contradicts(&graph, &model, place), Some(false));
+        // A frame may be missing.
+        assert_eq!(contradicts(&graph, &model, place + 0.9), Some(false));
+        assert_eq!(contradicts(&graph, &model, place + 1.1), Some(true));
+        let candidates = BTreeSet::from([images[known], images[known + 3]]);
+        let must_wait = |graph: &CorrespondenceGraph, model: &Reconstruction| {
+            Timelines::new(graph, model).must_wait(model, images[known + 3], &candidates)
+        };
+        assert!(must_wait(&graph, &model));
+        // A sequence ends where the next image shows something else.
+        let cut = linked(&images[known..]);
+        assert_eq!(contradicts(&cut, &model, place), None);
+        assert!(!must_wait(&cut, &model));
+        // Photos of a walk in all directions.
+        for (k, image) in images[..known].iter().enumerate() {
+            model.register(*image, at((k * 7 % known) as f64));
+        }
+        assert_eq!(contradicts(&graph, &model, place), None);
+        assert!(!must_wait(&graph, &model));
     }
 
     #[test]
     fn a_pose_beyond_the_reach_of_the_camera_contradicts_its_motion() {
         let last = MIN_STEPS + 1;
         let (model, images) = drive(last);
-        let timelines = Timelines::new(&model);
+        let timelines = Timelines::new(&unconnected(), &model);
         let expected = timelines.expected_motion(&model, images[last]).expect("steps enough");
         let centre = expected.centre().expect("two images before have poses");
         assert!((centre.x - last as f64).abs() < 1e-12, "{centre}");
@@ -349,16 +425,20 @@ mod tests {
             twice.set_time(image, Some(place as f64 + 0.5));
         }
         twice.set_time(images[last + 1], Some(last as f64 + 0.5));
-        let timelines = Timelines::new(&twice);
+        let timelines = Timelines::new(&unconnected(), &twice);
         let expected = timelines.expected_motion(&twice, images[last + 1]).expect("steps enough");
         assert!(!expected.contradicts(&at(last as f64)));
         // Times that were rounded to seconds tell no motion.
         for (place, &image) in images.iter().enumerate() {
             twice.set_time(image, Some((place / 2) as f64));
         }
-        assert!(Timelines::new(&twice).expected_motion(&twice, images[last + 1]).is_none());
+        assert!(
+            Timelines::new(&unconnected(), &twice)
+                .expected_motion(&twice, images[last + 1])
+                .is_none()
+        );
         let (model, images) = drive(last - 1);
-        assert_eq!(Timelines::new(&model).usual_motion(&model, images[last]), None);
+        assert_eq!(Timelines::new(&unconnected(), &model).usual_motion(&model, images[last]), None);
     }
 
     /// Windows of a facade apart, as the wrong copies of a place are.
@@ -370,7 +450,7 @@ mod tests {
             for &place in displaced {
                 model.register(images[place], at(place as f64 + DISPLACED));
             }
-            let timelines = Timelines::new(&model);
+            let timelines = Timelines::new(&unconnected(), &model);
             let mut found = Vec::new();
             while let Some(part) = timelines.part_out_of_reach(&model, &|_| true) {
                 part.iter().for_each(|image| model.deregister(*image));
@@ -390,6 +470,9 @@ mod tests {
         for (place, image) in images.iter().enumerate() {
             model.register(*image, at(place.min(12).max(place.saturating_sub(6)) as f64));
         }
-        assert_eq!(Timelines::new(&model).part_out_of_reach(&model, &|_| true), None);
+        assert_eq!(
+            Timelines::new(&unconnected(), &model).part_out_of_reach(&model, &|_| true),
+            None
+        );
     }
 }

@@ -9,6 +9,7 @@ mod missing;
 mod next_image;
 mod options;
 mod recall;
+mod sequences;
 mod significance;
 mod square_cells;
 mod visibility;

@@ -72,10 +72,15 @@ struct DeferredImage {
 saved! { struct DeferredImage { num_points, recall } }
 
 impl NextBestView {
-    pub(crate) fn new(scene: &Reconstruction, frames: KnownFrames, seed: u64) -> Self {
+    pub(crate) fn new(
+        graph: &CorrespondenceGraph,
+        scene: &Reconstruction,
+        frames: KnownFrames,
+        seed: u64,
+    ) -> Self {
         Self {
             seed,
-            timelines: Timelines::new(scene),
+            timelines: Timelines::new(graph, scene),
             frames,
             trials: BTreeMap::new(),
             registrations: BTreeMap::new(),

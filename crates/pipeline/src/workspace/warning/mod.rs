@@ -43,6 +43,28 @@ pub enum Warning {
         /// Larger side of the images, in pixels.
         side_px: u32,
     },
+    /// The images hardly determine the focal length of a camera.
+    UncertainFocalLength {
+        /// Folder of the model.
+        model: String,
+        /// The camera.
+        camera: u32,
+        /// Focal length, in pixels.
+        focal_px: f64,
+        /// Its standard deviation, in pixels.
+        sd_px: f64,
+        /// Whether a calibration was given, and is refined.
+        is_calibrated: bool,
+    },
+    /// The images contradict the calibration of a camera.
+    ContradictedCalibration {
+        /// Folder of the model.
+        model: String,
+        /// The camera.
+        camera: u32,
+        /// What moved by most standard deviations.
+        change: ParameterChange,
+    },
     /// The distortion of a camera is not that of a lens.
     Distortion {
         /// Folder of the model.
@@ -130,6 +152,20 @@ pub struct ScaledImage {
     pub scale: f64,
     /// Standard deviation of the ratio.
     pub sd: f64,
+}
+
+/// How a refined parameter of a camera differs from its calibration.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(expecting = "an object")]
+pub struct ParameterChange {
+    /// COLMAP's name of the parameter.
+    pub parameter: String,
+    /// Its calibrated value.
+    pub given: f64,
+    /// Its refined value.
+    pub found: f64,
+    /// Their difference, in standard deviations.
+    pub deviations: f64,
 }
 
 /// Where a model comes closest to a larger one.

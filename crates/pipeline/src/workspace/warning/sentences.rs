@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use super::{ModelGap, ScaledImage, Warning};
+use super::{ModelGap, ParameterChange, ScaledImage, Warning};
 use crate::workspace::overlay_report::OverlayReport;
 
 /// More images or regions are counted, not listed.
@@ -30,15 +30,14 @@ impl fmt::Display for Warning {
                 {side_px} px, which is unlikely: give `features.focal_prior` or \
                 `features.intrinsics`"
             ),
+            Self::UncertainFocalLength { model, camera, focal_px, sd_px, is_calibrated } => {
+                f.write_str(&uncertain_focal(model, *camera, [*focal_px, *sd_px], *is_calibrated))
+            }
+            Self::ContradictedCalibration { model, camera, change } => {
+                f.write_str(&contradicted(model, *camera, change))
+            }
             Self::Distortion { model, camera, camera_model, params } => {
-                let params: Vec<String> =
-                    params.iter().map(|value| format!("{value:.4}")).collect();
-                write!(
-                    f,
-                    "camera {camera} of {model} has a distortion that no lens has ({camera_model} \
-                    {}): give another `features.camera_model` or `features.intrinsics`",
-                    params.join(", ")
-                )
+                f.write_str(&distortion(model, *camera, camera_model, params))
             }
             Self::LensResiduals { model, camera, camera_model, residual_px, better } => write!(
                 f,
@@ -102,6 +101,42 @@ fn alternatives(better: &str) -> String {
         _ => "",
     };
     format!("{better}{others}")
+}
+
+fn distortion(model: &str, camera: u32, camera_model: &str, params: &[f64]) -> String {
+    let params: Vec<String> = params.iter().map(|value| format!("{value:.4}")).collect();
+    format!(
+        "camera {camera} of {model} has a distortion that no lens has ({camera_model} {}): give \
+        another `features.camera_model` or `features.intrinsics`",
+        params.join(", ")
+    )
+}
+
+fn uncertain_focal(
+    model: &str,
+    camera: u32,
+    [focal_px, sd_px]: [f64; 2],
+    is_calibrated: bool,
+) -> String {
+    let (low, high) = ((focal_px - 2.0 * sd_px).max(0.0), focal_px + 2.0 * sd_px);
+    let what_to_do = match is_calibrated {
+        true => "keep the calibration by `mapper.refine` none",
+        false => "give `features.calibration`",
+    };
+    format!(
+        "the images hardly determine the focal length of camera {camera} of {model}, {low:.0} to \
+        {high:.0} px (95 %), nor how long the way is in relation to its width: take images that \
+        rotate, or {what_to_do}"
+    )
+}
+
+fn contradicted(model: &str, camera: u32, change: &ParameterChange) -> String {
+    let ParameterChange { parameter, given, found, deviations } = change;
+    format!(
+        "the images contradict the calibration of camera {camera} of {model}: {parameter} \
+        {given:.4} was given, and {found:.4} is found ({deviations:+.0} standard deviations): \
+        check its image size and camera model, or keep it by `mapper.refine` none"
+    )
 }
 
 fn several_models(images: &[usize], gaps: &[ModelGap]) -> String {

@@ -9,6 +9,9 @@ const MAX_PASSES: usize = 60;
 const MAX_ROUNDS: usize = 8;
 /// Images whose surroundings are tried, evenly among all. Bounds the time; not varied.
 const MAX_CENTRES: usize = 64;
+/// Images whose move is tried when a division is settled, those that seem to gain most, and sizes
+/// of sets around one. Bounds the time of large models; the sets that were measured have fewer.
+const MAX_SETTLING: usize = 128;
 /// Smallest gain of a change, which rounding does not reach.
 const MIN_GAIN: f64 = 1e-6;
 
@@ -184,13 +187,14 @@ fn surroundings(points: &Points, sides: &mut [bool], weights: &[f64]) -> bool {
 }
 
 /// A division near `sides` that no move of one image improves, with the weights of the points after
-/// the move. Other moves keep the weights, with which an image that joins its group seems to lose
-/// what its own cells say.
+/// the move, of at most [`MAX_SETTLING`] images in at most [`MAX_PASSES`] passes. Other moves keep
+/// the weights, with which an image that joins its group seems to lose what its own cells say.
 pub(super) fn settled(points: &Points, mut sides: Vec<bool>) -> Vec<bool> {
     let mut sum = points.sum(&sides);
     for _ in 0..MAX_PASSES {
         let gain = |image| (points.sum(&exchanged(&sides, &[image])) - sum, image);
-        let mut gains: Vec<(f64, usize)> = (0..sides.len()).into_par_iter().map(gain).collect();
+        let images = likely_to_gain(points, &sides);
+        let mut gains: Vec<(f64, usize)> = images.into_par_iter().map(gain).collect();
         gains.retain(|(gain, _)| *gain > MIN_GAIN);
         gains.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
         if gains.is_empty() {
@@ -208,25 +212,40 @@ pub(super) fn settled(points: &Points, mut sides: Vec<bool>) -> Vec<bool> {
     oriented(&sides)
 }
 
+/// The images whose move gains most or loses least with the weights before it, in order.
+fn likely_to_gain(points: &Points, sides: &[bool]) -> Vec<usize> {
+    let mut images: Vec<usize> = (0..sides.len()).collect();
+    if images.len() > MAX_SETTLING {
+        let weights = points.weights(sides);
+        let totals = Moves::new(points, sides, &weights).totals;
+        images.sort_by(|a, b| totals[*b].total_cmp(&totals[*a]).then(a.cmp(b)));
+        images.truncate(MAX_SETTLING);
+        images.sort_unstable();
+    }
+    images
+}
+
 /// [`settled`], also with moves of the images around one, the nearest ones.
 pub(super) fn settled_around(points: &Points, mut sides: Vec<bool>) -> Vec<bool> {
-    loop {
+    for _ in 0..MAX_ROUNDS {
         sides = settled(points, sides);
         let mut sum = points.sum(&sides);
         let before = sides.clone();
         for nearest in around(points, sides.len()) {
             let moved = |num: usize| (points.sum(&exchanged(&sides, &nearest[..num])), num);
-            let sums: Vec<(f64, usize)> =
-                (2..=sides.len() / 2).into_par_iter().map(moved).collect();
+            let sizes: Vec<usize> =
+                (2..=sides.len() / 2).step_by(sides.len().div_ceil(2 * MAX_SETTLING)).collect();
+            let sums: Vec<(f64, usize)> = sizes.into_par_iter().map(moved).collect();
             let best = sums.into_iter().max_by(|a, b| a.0.total_cmp(&b.0).then(b.1.cmp(&a.1)));
             if let Some((best, num)) = best.filter(|(best, _)| *best > sum + MIN_GAIN) {
                 (sides, sum) = (exchanged(&sides, &nearest[..num]), best);
             }
         }
         if sides == before {
-            return sides;
+            break;
         }
     }
+    sides
 }
 
 /// The division with some images in the other group.
