@@ -15,6 +15,7 @@ use tiepoint_geometry::nalgebra::Vector3;
 use tiepoint_geometry::numeric::median;
 use tiepoint_scene::{CorrespondenceGraph, ImageId, Reconstruction};
 
+use super::evidence::Evidence;
 use super::sequences::{Sequence, Times, sequences};
 use crate::timeline::{MAX_CHANGE, usual};
 
@@ -131,15 +132,23 @@ impl Timelines {
     }
 
     /// Whether a candidate lies between this image and the nearest registered image of its camera.
+    /// Numbers of frames may be no times. Where the motion does not show it yet, no image waits for
+    /// one that has too little evidence.
     pub(crate) fn must_wait(
         &self,
         model: &Reconstruction,
         image: ImageId,
         candidates: &BTreeSet<ImageId>,
+        evidence: Evidence,
     ) -> bool {
+        let Some((sequence, _)) = self.place(image) else { return false };
         let Some(sides) = self.sides(image) else { return false };
-        if matches!(self.motion(model, image), Motion::Irregular) {
-            return false;
+        if sequence.times == Times::Frames {
+            match self.motion(model, image) {
+                Motion::Irregular => return false,
+                Motion::Unknown if evidence == Evidence::Significant => return false,
+                Motion::Unknown | Motion::Usual(_) => {}
+            }
         }
         let has_pose = |other: &&(f64, ImageId)| model.image(other.1).cam_from_world().is_some();
         let nearest = sides.iter().filter_map(|side| Some((side.iter().position(has_pose)?, side)));
@@ -335,10 +344,15 @@ mod tests {
         let (model, images) = drive(4);
         let timelines = Timelines::new(&unconnected(), &model);
         let candidates = BTreeSet::from([images[4], images[7]]);
-        assert!(!timelines.must_wait(&model, images[4], &candidates));
-        assert!(timelines.must_wait(&model, images[7], &candidates));
+        assert!(!timelines.must_wait(&model, images[4], &candidates, Evidence::Usual));
+        assert!(timelines.must_wait(&model, images[7], &candidates, Evidence::Usual));
         // No candidate lies between.
-        assert!(!timelines.must_wait(&model, images[7], &BTreeSet::from([images[7], images[9]])));
+        assert!(!timelines.must_wait(
+            &model,
+            images[7],
+            &BTreeSet::from([images[7], images[9]]),
+            Evidence::Usual
+        ));
     }
 
     #[test]
@@ -346,7 +360,12 @@ mod tests {
         let (mut model, images) = drive(4);
         images.iter().for_each(|&image| model.set_time(image, None));
         let timelines = Timelines::new(&unconnected(), &model);
-        assert!(!timelines.must_wait(&model, images[7], &images.iter().copied().collect()));
+        assert!(!timelines.must_wait(
+            &model,
+            images[7],
+            &images.iter().copied().collect(),
+            Evidence::Usual
+        ));
         assert_eq!(timelines.usual_motion(&model, images[7]), None);
     }
 
@@ -379,7 +398,12 @@ mod tests {
         assert_eq!(contradicts(&graph, &model, place + 1.1), Some(true));
         let candidates = BTreeSet::from([images[known], images[known + 3]]);
         let must_wait = |graph: &CorrespondenceGraph, model: &Reconstruction| {
-            Timelines::new(graph, model).must_wait(model, images[known + 3], &candidates)
+            Timelines::new(graph, model).must_wait(
+                model,
+                images[known + 3],
+                &candidates,
+                Evidence::Usual,
+            )
         };
         assert!(must_wait(&graph, &model));
         // A sequence ends where the next image shows something else.

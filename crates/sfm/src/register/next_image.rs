@@ -203,7 +203,7 @@ impl NextBestView {
         let mut failed = BTreeSet::new();
         let mut deferred_candidates: Vec<(f64, ImageId)> = Vec::new();
         for &(Visibility { num_points, .. }, image) in candidates {
-            if self.timelines.must_wait(model, image, &unregistered) {
+            if self.timelines.must_wait(model, image, &unregistered, evidence) {
                 continue;
             }
             // With hardly more visible points the pose would hardly change.
