@@ -236,9 +236,7 @@ def table_kitti(runs):
         cells = []
         for mode in KITTI_MODES:
             errors = [r["ate_cm"] for r in runs if (r["drive"], r["mode"]) == (drive, mode)]
-            # The loop leaves out `paper`.
-            spread = lambda: f"{middle(errors, 2)} ({min(errors):.2f} to {max(errors):.2f})"
-            cells.append(spread() if errors else "-")
+            cells.append(f"{middle(errors, 2)} ({min(errors):.2f} to {max(errors):.2f})")
         rows.append([drive, *cells])
     return rows
 
@@ -322,6 +320,10 @@ def table_demo(runs):
         cells = []
         for mode in DEMO_MODES:
             errors = [r["ate_cm"] for r in runs if (r["drive"], r["mode"]) == (drive, mode)]
+            # The loop has no `paper`.
+            if not errors:
+                cells.append("-")
+                continue
             cells.append(f"{middle(errors, 2)} ({min(errors):.2f} to {max(errors):.2f})")
         ratios = demo_ratios(runs, drive)
         halved = sum(ratio <= 0.5 for ratio in ratios)

@@ -1,5 +1,6 @@
 //! Results as text for the terminal.
 
+use std::ffi::OsStr;
 use std::fmt::Write;
 use std::path::Path;
 
@@ -62,8 +63,9 @@ fn next_commands(root: &Path, report: &Report) -> Vec<(String, &'static str)> {
         return vec![(format!("tiepoint {next} {workspace}"), "the next stage")];
     };
     // Each workspace has a folder of its own: a second one would replace the first.
-    let name = root.file_name().map_or_else(String::new, |name| name.to_string_lossy().into());
-    let splats = shell_word(Path::new(&format!("splats_{name}")));
+    let of_root = |name: &OsStr| format!("splats_{}", name.to_string_lossy());
+    let splats = root.file_name().map_or_else(|| "splats".to_owned(), of_root);
+    let splats = shell_word(Path::new(&splats));
     let mut commands = vec![
         (format!("tiepoint view {workspace}"), "writes report.html, to look at it in a browser"),
         (

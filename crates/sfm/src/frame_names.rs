@@ -76,17 +76,27 @@ pub fn pairs_by_name(references: &[&str], others: &[&str]) -> Vec<(usize, usize)
     pairs
 }
 
-/// The numbers of the frames of one stream, from their file names; `None` if not exactly one number
-/// varies from name to name, or two names have the same one.
-pub(crate) fn frame_numbers(names: &[&str]) -> Option<Vec<f64>> {
-    let of_names: Vec<Vec<&[u8]>> = names.iter().map(|name| numbers(name)).collect();
+/// The digits of the numbers in a name.
+type Numbers<'a> = Vec<&'a [u8]>;
+
+/// The numbers in each name, and the places of those that vary from name to name; `None` without a
+/// name, or if names have different counts of numbers.
+fn varying_numbers<'a>(names: &[&'a str]) -> Option<(Vec<Numbers<'a>>, Vec<usize>)> {
+    let of_names: Vec<Numbers> = names.iter().map(|name| numbers(name)).collect();
     let first = of_names.first()?;
     if of_names.iter().any(|numbers| numbers.len() != first.len()) {
         return None;
     }
     let varies = |field: &usize| of_names.iter().any(|numbers| numbers[*field] != first[*field]);
-    let mut varying = (0..first.len()).filter(varies);
-    let (field, None) = (varying.next()?, varying.next()) else { return None };
+    let varying = (0..first.len()).filter(varies).collect();
+    Some((of_names, varying))
+}
+
+/// The numbers of the frames of one stream, from their file names; `None` if not exactly one number
+/// varies from name to name, or two names have the same one.
+pub(crate) fn frame_numbers(names: &[&str]) -> Option<Vec<f64>> {
+    let (of_names, varying) = varying_numbers(names)?;
+    let [field] = varying[..] else { return None };
     let value = |numbers: &Vec<&[u8]>| {
         let digits = numbers[field].iter().map(|digit| f64::from(digit - b'0'));
         digits.fold(0.0, |value, digit| 10.0 * value + digit)
@@ -99,13 +109,7 @@ pub(crate) fn frame_numbers(names: &[&str]) -> Option<Vec<f64>> {
 /// Keys of the images of a camera from the numbers in their names: all numbers that vary, and each
 /// of them. A list in which two images have the same key is empty.
 fn number_keys(names: &[&str]) -> Vec<Vec<Vec<u8>>> {
-    let of_names: Vec<Vec<&[u8]>> = names.iter().map(|name| numbers(name)).collect();
-    let Some(first) = of_names.first() else { return Vec::new() };
-    if of_names.iter().any(|numbers| numbers.len() != first.len()) {
-        return Vec::new();
-    }
-    let varies = |field: &usize| of_names.iter().any(|numbers| numbers[*field] != first[*field]);
-    let varying: Vec<usize> = (0..first.len()).filter(varies).collect();
+    let Some((of_names, varying)) = varying_numbers(names) else { return Vec::new() };
     let single = varying.iter().map(|&field| vec![field]);
     let choices = [varying.clone()].into_iter().chain(single);
     choices

@@ -93,7 +93,7 @@ pub(crate) fn posed_by_number(
 }
 
 /// Largest change of the velocity from one image to the next, relative to the usual speed, of
-/// frames that follow a smooth motion. As usual, both are 90 % quantiles.
+/// frames that follow a smooth motion. As usual, both are 90 % quantiles. Not varied.
 pub(crate) const MAX_CHANGE: f64 = 0.5;
 
 /// Quantile of speeds or accelerations that defines the usual one.

@@ -27,7 +27,7 @@ pub struct Jump {
 }
 
 /// The images of each camera whose centres are off: of images with capture times, and of frames
-/// without times that are numbered and follow a smooth motion.
+/// without them (or in whole seconds) that are numbered and follow a smooth motion.
 pub fn jumps(model: &Reconstruction) -> Vec<Jump> {
     let of_camera = |camera| match posed_in_time(model, camera) {
         posed if !posed.is_empty() => jumps_of(&posed, |_, _| true),
