@@ -16,7 +16,7 @@
 use tiepoint_scene::{CameraId, IntrinsicsPrior, Reconstruction};
 
 use crate::Error;
-use crate::field_effects::{cameras_with_fields, fit_poses, num_modes, random_effects};
+use crate::field_effects::{cameras_with_fields, field_effects, fit_poses, num_modes};
 use crate::intrinsics::fixed_columns;
 use crate::noise::FitNoise;
 use crate::options::{AdjustOptions, RefineIntrinsics};
@@ -52,7 +52,7 @@ pub fn calibration_evidence(
     let mut model = model.clone();
     fit_poses(&mut model, options)?;
     let expected = |id| cameras.contains(&id).then(|| &model.intrinsics_priors[&id]);
-    let effects = random_effects(&model, expected, refine, options, &noise)?;
+    let effects = field_effects(&model, expected, refine, options, &noise)?.all();
     let modes = num_modes(cameras.len());
     let log_bayes_factor = effects.and_then(|effects| effects.log_bayes_factor(modes));
     Ok(CalibrationEvidence { log_bayes_factor, cameras })

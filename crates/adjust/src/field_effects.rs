@@ -60,12 +60,7 @@ pub(crate) fn num_modes(num_cameras: usize) -> usize {
 /// are zero. Images with hardly any points do not determine their poses, and make the system
 /// singular: they are left out. Rigs are left out as well.
 pub(crate) fn fit_poses(model: &mut Reconstruction, options: &AdjustOptions) -> Result<(), Error> {
-    model.frames.clear();
-    let is_weak = |(_, image, _): &(ImageId, &Image, &Rigid3)| {
-        image.points().iter().flatten().take(MIN_POINTS).count() < MIN_POINTS
-    };
-    let weak: Vec<ImageId> = model.registered().filter(is_weak).map(|(id, ..)| id).collect();
-    weak.into_iter().for_each(|image| model.deregister(image));
+    leave_images(model);
     let fit = AdjustOptions {
         refine: RefineIntrinsics::NONE,
         refine_calibrated: Some(RefineIntrinsics::NONE),
@@ -77,16 +72,26 @@ pub(crate) fn fit_poses(model: &mut Reconstruction, options: &AdjustOptions) -> 
     adjust(model, &Scope::Global, &fit, &mut [], &mut keep_going).map(|_| ())
 }
 
-/// The normal equations of the intrinsics of some cameras, in standard deviations of `expected`,
-/// and of the coefficients of their fields in pixels, for residuals of unit variance. The model is
-/// one of [`fit_poses`]. `None` if the covariance is singular to rounding.
-pub(crate) fn random_effects<'a>(
+/// Leaves rigs and images with hardly any points out.
+pub(crate) fn leave_images(model: &mut Reconstruction) {
+    model.frames.clear();
+    let is_weak = |(_, image, _): &(ImageId, &Image, &Rigid3)| {
+        image.points().iter().flatten().take(MIN_POINTS).count() < MIN_POINTS
+    };
+    let weak: Vec<ImageId> = model.registered().filter(is_weak).map(|(id, ..)| id).collect();
+    weak.into_iter().for_each(|image| model.deregister(image));
+}
+
+/// The joint covariance of the intrinsics of some cameras, in standard deviations of `expected`,
+/// and of the coefficients of their fields in pixels, for residuals of unit variance. Poses and
+/// points are adjusted to the intrinsics, as by [`fit_poses`].
+pub(crate) fn field_effects<'a>(
     model: &Reconstruction,
     expected: impl Fn(CameraId) -> Option<&'a IntrinsicsPrior>,
     refine: RefineIntrinsics,
     options: &AdjustOptions,
     noise: &FitNoise,
-) -> Result<Option<RandomEffects>, Error> {
+) -> Result<FieldEffects, Error> {
     let wide = |id| {
         let IntrinsicsPrior { mean, sigmas } = expected(id)?;
         let sigmas = sigmas.iter().map(|sigma| sigma * WIDE_DEVIATIONS).collect();
@@ -107,7 +112,7 @@ pub(crate) fn random_effects<'a>(
         let Some(prior) = expected(camera.camera) else { continue };
         let parameters = parameters(model, camera, prior, refine);
         of_intrinsics.extend(parameters.iter().map(|it| (first + it.index, it.sigma, it.slope)));
-        moved.extend(parameters.iter().map(|it| it.moved));
+        moved.extend(parameters.iter().map(|it| (camera.camera, it.index, it.moved)));
         first += camera.params.len();
         let slopes: &LensField = &camera.slopes.1;
         of_fields.extend((first..).zip(slopes).map(|(row, slope)| (row, 1.0, *slope)));
@@ -120,12 +125,41 @@ pub(crate) fn random_effects<'a>(
     });
     // The information counts the weights of the loss, and slopes its derivatives.
     let scale = noise.curvature_excess / noise.sigma.powi(2);
-    let slopes = rows.iter().map(|(_, _, slope)| slope * scale);
-    Ok(covariance.cholesky().map(|covariance| RandomEffects {
-        moved: DVector::from_vec(moved),
-        information: covariance.inverse(),
-        slopes: DVector::from_iterator(rows.len(), slopes),
-    }))
+    let slopes = rows.iter().map(|(_, _, slope)| slope * scale).collect();
+    Ok(FieldEffects { moved, covariance, slopes })
+}
+
+/// The joint covariance of intrinsics and fields.
+pub(crate) struct FieldEffects {
+    /// Camera, parameter, and its difference from the expectation. Fields follow.
+    moved: Vec<(CameraId, usize, f64)>,
+    covariance: DMatrix<f64>,
+    /// Slopes of the cost.
+    slopes: Vec<f64>,
+}
+
+impl FieldEffects {
+    /// The normal equations of all intrinsics and the fields. `None` if the covariance is singular
+    /// to rounding.
+    pub(crate) fn all(&self) -> Option<RandomEffects> {
+        self.of(|_, _| true)
+    }
+
+    /// The normal equations of some parameters and the fields, where the others are free. The cost
+    /// has its minimum with respect to these.
+    pub(crate) fn of(&self, is_kept: impl Fn(CameraId, usize) -> bool) -> Option<RandomEffects> {
+        let kept: Vec<usize> = (0..self.slopes.len())
+            .filter(|row| self.moved.get(*row).is_none_or(|(id, index, _)| is_kept(*id, *index)))
+            .collect();
+        let moved = kept.iter().filter_map(|row| Some(self.moved.get(*row)?.2));
+        let covariance =
+            DMatrix::from_fn(kept.len(), kept.len(), |i, j| self.covariance[(kept[i], kept[j])]);
+        Some(RandomEffects {
+            moved: DVector::from_vec(moved.collect()),
+            information: covariance.cholesky()?.inverse(),
+            slopes: DVector::from_iterator(kept.len(), kept.iter().map(|row| self.slopes[*row])),
+        })
+    }
 }
 
 /// A parameter of the intrinsics.

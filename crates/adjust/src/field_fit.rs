@@ -13,7 +13,7 @@ use tiepoint_scene::{CameraId, IntrinsicsPrior, Reconstruction};
 
 use crate::Error;
 use crate::covariance::clustered_by_track_and_cell;
-use crate::field_effects::{fit_poses, num_modes, random_effects};
+use crate::field_effects::{field_effects, fit_poses, num_modes};
 use crate::field_problem::{FieldPriors, FieldProblem};
 use crate::noise::FitNoise;
 use crate::options::AdjustOptions;
@@ -59,7 +59,7 @@ pub fn fit_with_lens_fields(
         })
         .collect();
     let expected = |id: CameraId| expected[id.index()].as_ref();
-    let effects = random_effects(&model, expected, refine, options, &noise)?;
+    let effects = field_effects(&model, expected, refine, options, &noise)?.all();
     let modes = num_modes(cameras.len());
     let Some(variance) = effects.and_then(|effects| effects.variance(modes)) else {
         return Ok(Vec::new());

@@ -439,10 +439,12 @@ pub(crate) struct Cameras {
     /// it is scaled with the size of the photo.
     #[arg(long, value_name = "PX")]
     pub(crate) focal_prior: Option<PositivePixels>,
-    /// COLMAP's name of the camera model [default: SIMPLE_RADIAL].
+    /// COLMAP's name of the camera model [default: the images decide].
     ///
-    /// THIN_PRISM_FISHEYE suits action cameras, EQUIRECTANGULAR panoramas. In models with two focal
-    /// lengths fx and fy stay equal. A wrong name lists all.
+    /// By default SIMPLE_RADIAL, in place of which mapping takes RADIAL, OPENCV or OPENCV_FISHEYE
+    /// where the images give very strong evidence. THIN_PRISM_FISHEYE suits action cameras,
+    /// EQUIRECTANGULAR panoramas. In models with two focal lengths fx and fy stay equal. A wrong
+    /// name lists all.
     #[arg(
         long,
         value_name = "NAME",
@@ -1165,8 +1167,8 @@ fn initial_calibration(
     camera_model: Option<CameraModelKind>,
 ) -> Result<Calibration, String> {
     let Some(NumberList(params)) = intrinsics else {
-        let model = camera_model.unwrap_or(CameraModelKind::SimpleRadial);
-        return Ok(Calibration::Unknown { model, focal_px: focal_prior.map(|focal| focal.0) });
+        let focal_px = focal_prior.map(|focal| focal.0);
+        return Ok(Calibration::Unknown { model: camera_model, focal_px });
     };
     let intrinsics = match (camera_model, params.len()) {
         (Some(model), _) => Intrinsics::new(model, params),

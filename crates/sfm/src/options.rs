@@ -56,6 +56,10 @@ pub struct MapperOptions {
     /// they are, unless the images contradict them ([`crate::adjust::calibration_evidence`]).
     /// Otherwise they are refined.
     pub keep_calibrations: bool,
+    /// Whether cameras with unknown intrinsics get the camera model that their images ask for:
+    /// SIMPLE_RADIAL and RADIAL become RADIAL, OPENCV or OPENCV_FISHEYE where the evidence is very
+    /// strong ([`crate::adjust::better_lens_models`]).
+    pub select_camera_models: bool,
     /// Options of track creation.
     pub tracks: TrackOptions,
     /// Options of the point filter.
@@ -117,6 +121,7 @@ impl Default for MapperOptions {
         Self {
             refine: RefineIntrinsics::ALL,
             keep_calibrations: true,
+            select_camera_models: false,
             tracks: TrackOptions::default(),
             filter: FilterOptions::default(),
             register: RegisterOptions::default(),

@@ -1,10 +1,12 @@
 //! Priors on intrinsics, and two cameras that are one lens in portrait and landscape format.
 
-use tiepoint_adjust::{AdjustOptions, RefineIntrinsics, Scope, adjust, keep_going};
+use tiepoint_adjust::{
+    AdjustOptions, RefineIntrinsics, Scope, adjust, better_lens_models, keep_going,
+};
 use tiepoint_ba::testing::check_jacobians;
 use tiepoint_geometry::nalgebra::SVector;
 use tiepoint_geometry::{CameraModelKind, Intrinsics};
-use tiepoint_scene::{CameraId, IntrinsicsPrior, Reconstruction};
+use tiepoint_scene::{CameraId, IntrinsicsPrior, Reconstruction, nearest_intrinsics};
 
 use crate::common::{camera, scene};
 use crate::shared_lens::shared_lens;
@@ -160,4 +162,47 @@ fn jacobians_of_the_shared_lens() {
     let mut factor = shared_lens(&intrinsics, &one);
     factor.weights.fill(2.0);
     check_jacobians(&factor, (one, other), 1e-6).unwrap();
+}
+
+/// Camera models in ascending order, and lenses with the ones that describe them.
+const MODELS: [CameraModelKind; 4] = [
+    CameraModelKind::SimpleRadial,
+    CameraModelKind::Radial,
+    CameraModelKind::Opencv,
+    CameraModelKind::OpencvFisheye,
+];
+const LENSES: [(CameraModelKind, &[f64]); 3] = [
+    (CameraModelKind::SimpleRadial, &[300.0, 320.0, 240.0, -0.05]),
+    (CameraModelKind::Radial, &[300.0, 320.0, 240.0, -0.2, 0.06]),
+    (CameraModelKind::OpencvFisheye, &[300.0, 300.0, 320.0, 240.0, -0.05, -0.03, 0.0, 0.0]),
+];
+/// Very strong evidence (Kass and Raftery 1995, section 3.2).
+const VERY_STRONG: f64 = 5.0;
+/// Noise of keypoints, and the largest error of the first distortion parameter.
+const KEYPOINT_NOISE_PX: f64 = 0.5;
+const MAX_DISTORTION_ERROR: f64 = 0.02;
+
+#[test]
+fn the_camera_model_of_a_lens_is_found() {
+    let id = CameraId(0);
+    for (kind, params) in LENSES {
+        let truth = camera(kind, params, [640, 480]);
+        let mut model = scene(&[truth], 8, KEYPOINT_NOISE_PX);
+        model.camera_mut(id).intrinsics =
+            nearest_intrinsics(&truth.intrinsics, MODELS[0], 640, 480).expect("a lens");
+        let options = AdjustOptions { noise: KEYPOINT_NOISE_PX, ..AdjustOptions::default() };
+        let model = adjusted(model, &options);
+        let found = better_lens_models(&model, &[id], &MODELS, VERY_STRONG, &options);
+        let found = found.expect("a model");
+        if kind == MODELS[0] {
+            assert_eq!(found, []);
+            continue;
+        }
+        assert_eq!(found.len(), 1, "{kind:?}");
+        assert_eq!(found[0].intrinsics.kind(), kind);
+        // Those of higher order are hardly determined.
+        let first = kind.principal_point_indices()[1] + 1;
+        let error = found[0].intrinsics.params()[first] - params[first];
+        assert!(error.abs() < MAX_DISTORTION_ERROR, "{:?}", found[0]);
+    }
 }

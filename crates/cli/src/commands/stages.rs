@@ -192,6 +192,7 @@ fn map_options(mapping: &Mapping, seed: &Seed) -> Result<MapOptions, Failure> {
     }
     Ok(MapOptions {
         mapper: MapperOptions {
+            select_camera_models: true,
             rig: mapping.rig,
             readout: mapping.rolling_shutter,
             seed: seed.seed,

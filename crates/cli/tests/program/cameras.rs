@@ -248,3 +248,31 @@ fn exports_have_the_pixels_that_the_model_is_of() {
         }
     }
 }
+
+#[test]
+fn the_images_ask_for_a_camera_model_unless_one_is_named() {
+    let dir = tempfile::tempdir().unwrap();
+    let drive = "synth -o {}/drive --carrier handheld --frames 8 --size 320x240 --rate 3 --effects \
+        lens";
+    tiepoint_in(dir.path(), drive).done();
+    let reconstruct = "reconstruct {}/drive -o {}/ws --rig off";
+    let camera_models = || {
+        let report = fs::read(dir.path().join("ws/report.json")).unwrap();
+        let report: Value = serde_json::from_slice(&report).unwrap();
+        let cameras = report["models"][0]["cameras"].as_array().unwrap().clone();
+        cameras
+            .iter()
+            .map(|camera| camera["model"].as_str().unwrap().to_owned())
+            .collect::<Vec<_>>()
+    };
+    let selected =
+        "lens      camera 1: the images ask for OPENCV_FISHEYE in place of SIMPLE_RADIAL";
+    let summary = tiepoint_in(dir.path(), reconstruct).done().stdout();
+    assert!(summary.contains(selected), "{summary}");
+    assert_eq!(camera_models(), ["OPENCV_FISHEYE"; 2]);
+    let named = format!("{reconstruct} --camera-model SIMPLE_RADIAL");
+    tiepoint_in(dir.path(), &named).failed(1, &["--redo features"]);
+    let summary = tiepoint_in(dir.path(), &format!("{named} --redo features")).done().stdout();
+    assert!(!summary.contains("the images ask for"), "{summary}");
+    assert_eq!(camera_models(), ["SIMPLE_RADIAL"; 2]);
+}

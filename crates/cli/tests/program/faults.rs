@@ -74,8 +74,10 @@ impl Command {
         let mut options = Options::default();
         match self {
             Self::RedoFeatures => {
-                let calibration =
-                    Calibration::Unknown { model: CameraModelKind::Radial, focal_px: Some(200.0) };
+                let calibration = Calibration::Unknown {
+                    model: Some(CameraModelKind::Radial),
+                    focal_px: Some(200.0),
+                };
                 options.features = FeatureOptions { calibration, ..FeatureOptions::default() };
             }
             Self::RedoMatch => {

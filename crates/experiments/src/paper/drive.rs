@@ -41,7 +41,7 @@ pub(crate) fn calibration(scenery: &Scenery, drive: &Drive) -> Calibration {
     };
     let focal_px: Vec<f64> = drive.cameras().iter().map(|camera| camera.lens.focal_px()).collect();
     Calibration::Unknown {
-        model,
+        model: Some(model),
         focal_px: Some(focal_px.iter().sum::<f64>() / focal_px.len() as f64),
     }
 }

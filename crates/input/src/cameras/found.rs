@@ -17,8 +17,8 @@ use crate::{CameraGrouping, Error, Size};
 pub enum Calibration {
     /// The mapper estimates the intrinsics.
     Unknown {
-        /// Camera model.
-        model: CameraModelKind,
+        /// Camera model; `None`: SIMPLE_RADIAL, from which the mapper may select another one.
+        model: Option<CameraModelKind>,
         /// Initial focal length of all cameras, in pixels; `None`: from EXIF, else the default. It
         /// is that of the largest photos of a lens that EXIF names.
         focal_px: Option<f64>,
@@ -28,6 +28,8 @@ pub enum Calibration {
     Known(Intrinsics),
 }
 
+/// The camera model of an unknown lens.
+const UNKNOWN_LENS: CameraModelKind = CameraModelKind::SimpleRadial;
 /// Default focal length over the larger image side, as in COLMAP: a field of view of 45°.
 const DEFAULT_FOCAL: f64 = 1.2;
 /// The same for a fisheye: an equidistant view of 180°, 1/π.
@@ -35,7 +37,7 @@ const DEFAULT_FISHEYE_FOCAL: f64 = std::f64::consts::FRAC_1_PI;
 
 impl Default for Calibration {
     fn default() -> Self {
-        Self::Unknown { model: CameraModelKind::SimpleRadial, focal_px: None }
+        Self::Unknown { model: None, focal_px: None }
     }
 }
 
@@ -61,7 +63,7 @@ impl Calibration {
                 return camera_of(&intrinsics, None, name, info)
                     .map_err(|what| Error::Intrinsics { what });
             }
-            Self::Unknown { model, focal_px } => (model, focal_px),
+            Self::Unknown { model, focal_px } => (model.unwrap_or(UNKNOWN_LENS), focal_px),
         };
         let has_device = exif.device != Device::default();
         let scale = if has_device { f64::from(longest) / f64::from(largest.0) } else { 1.0 };
@@ -254,7 +256,8 @@ mod tests {
         assert_eq!(focal(unknown, exif.clone(), own), (600.0, true));
         assert_eq!(focal(unknown, exif.clone(), larger), (600.0, false));
         let model = CameraModelKind::Pinhole;
-        let given = |focal_px| Calibration::Unknown { model, focal_px: Some(focal_px) };
+        let given =
+            |focal_px| Calibration::Unknown { model: Some(model), focal_px: Some(focal_px) };
         assert_eq!(focal(given(500.0), exif.clone(), own), (500.0, true));
         assert_eq!(focal(given(500.0), exif.clone(), larger), (250.0, false));
         // Photos that do not name their lens may be of several.

@@ -251,6 +251,10 @@ impl<'a> MapRequest<'a> {
         if let Some(sigma_px) = given.calibration_sigma_px {
             OptionError::check_positive("calibration_sigma_px", sigma_px)?;
         }
+        let is_imported = of_features(option_names::DATABASE);
+        // Only an unknown lens of photos: a database or a model states camera models.
+        mapper.select_camera_models &=
+            !is_imported && input_model.is_none() && !of_features(option_names::KEEPS_CAMERA_MODEL);
         let mut texts = option_keys::mapping_options(&mapper, baseline_m);
         let has_known = input_model.is_some()
             || rig_calibration.is_some()
@@ -261,7 +265,6 @@ impl<'a> MapRequest<'a> {
         let sigma_px = given.calibration_sigma_px.unwrap_or(CALIBRATION_SIGMA_PX);
         let sigma_px = (is_refined && !mapper.keep_calibrations).then_some(sigma_px);
         texts.push(option_keys::calibration_sigma_option(sigma_px));
-        let is_imported = of_features(option_names::DATABASE);
         if let Some(model) = &input_model {
             let with = "`mapper.input_model`";
             if rig_calibration.is_some() {

@@ -13,7 +13,7 @@ use tiepoint_input::cameras::{Calibration, CameraGrouping};
 use tiepoint_io::features::Extractor;
 use tiepoint_sfm::MapperOptions;
 use tiepoint_sfm::adjust::RefineIntrinsics;
-use tiepoint_sfm::geometry::{Intrinsics, Loss};
+use tiepoint_sfm::geometry::{CameraModelKind, Intrinsics, Loss};
 use tiepoint_sfm::matching::Matcher;
 use tiepoint_sfm::register::RegisterOptions;
 use tiepoint_sfm::rolling_shutter::Readout;
@@ -23,8 +23,9 @@ use tiepoint_sfm::two_view::VerifyOptions;
 use crate::stages::dense::options::DenseOptions;
 use crate::workspace::option_names::{
     CALIBRATION_KEY, CALIBRATION_SIGMA_KEY, CAMERAS_KEY, CONTROL_POINTS_KEY, DATABASE, EXTRACTOR,
-    FOCAL_PRIOR, FOUND_PAIRS, INTRINSICS, MATCHER, MAX_PIXELS_KEY, MAX_SIZE_KEY, NONE, PAIRS,
-    POSITION_PRIORS_KEY, REFINE_EXTRINSICS_KEY, RIG_CALIBRATION_KEY,
+    FOCAL_PRIOR, FOUND_PAIRS, INTRINSICS, KEEPS_CAMERA_MODEL, MATCHER, MAX_PIXELS_KEY,
+    MAX_SIZE_KEY, NONE, PAIRS, POSITION_PRIORS_KEY, REFINE_EXTRINSICS_KEY, RIG_CALIBRATION_KEY,
+    SELECT_CAMERA_MODELS,
 };
 
 /// Keys with their values.
@@ -32,16 +33,19 @@ type Texts = Vec<(&'static str, String)>;
 
 /// Options of the feature stage. `timestamps`: hash of the file of capture times.
 pub(crate) fn feature_options(calibration: &Calibration, timestamps: Option<String>) -> Texts {
+    let default = CameraModelKind::SimpleRadial;
     let (model, focal_px, intrinsics) = match calibration {
-        Calibration::Unknown { model, focal_px } => (model.name(), *focal_px, None),
-        Calibration::Known(intrinsics) => (intrinsics.kind().name(), None, Some(intrinsics)),
+        Calibration::Unknown { model, focal_px } => (*model, *focal_px, None),
+        Calibration::Known(intrinsics) => (Some(intrinsics.kind()), None, Some(intrinsics)),
     };
+    let is_kept = model == Some(default) && intrinsics.is_none();
     let numbers = |intrinsics: &Intrinsics| {
         let params: Vec<String> = intrinsics.params().iter().map(f64::to_string).collect();
         params.join(",")
     };
     vec![
-        ("features.camera_model", model.to_owned()),
+        ("features.camera_model", model.unwrap_or(default).name().to_owned()),
+        (KEEPS_CAMERA_MODEL, or_none(is_kept.then_some(true))),
         (FOCAL_PRIOR, or_none(focal_px)),
         (INTRINSICS, or_none(intrinsics.map(numbers))),
         ("features.timestamps", or_none(timestamps)),
@@ -132,6 +136,7 @@ pub(crate) fn mapping_options(mapper: &MapperOptions, baseline_m: Option<f64>) -
         refine: RefineIntrinsics { focal, aspect, principal_point, distortion, prism },
         // Known by `calibration_sigma_option`.
         keep_calibrations: _,
+        select_camera_models,
         tracks:
             TrackOptions {
                 max_create_error_px,
@@ -157,6 +162,7 @@ pub(crate) fn mapping_options(mapper: &MapperOptions, baseline_m: Option<f64>) -
     });
     vec![
         ("mapper.baseline", or_none(baseline_m.map(|baseline_m| format!("{baseline_m}m")))),
+        (SELECT_CAMERA_MODELS, or_none(select_camera_models.then_some(true))),
         ("mapper.rig", rig.name().to_owned()),
         ("mapper.readout", or_none(readout)),
         ("mapper.seed", seed.to_string()),
@@ -270,6 +276,7 @@ mod tests {
         let found = lines(feature_options(&Calibration::default(), None));
         let expected = [
             "features.camera_model = SIMPLE_RADIAL",
+            "features.keep_camera_model = none",
             "features.focal_prior = none",
             "features.intrinsics = none",
             "features.timestamps = none",
@@ -309,6 +316,7 @@ mod tests {
         assert_eq!(matcher_lines(MatcherOptions::default()), expected);
         let expected = [
             "mapper.baseline = none",
+            "mapper.select_camera_models = none",
             "mapper.rig = off",
             "mapper.readout = none",
             "mapper.seed = 0",
@@ -375,9 +383,15 @@ mod tests {
             assert!(found.iter().any(|line| line == expected), "{expected}: {found:?}");
         }
         let unknown =
-            Calibration::Unknown { model: CameraModelKind::Opencv, focal_px: Some(1200.5) };
+            Calibration::Unknown { model: Some(CameraModelKind::Opencv), focal_px: Some(1200.5) };
         let found = lines(feature_options(&unknown, None));
-        assert_eq!(found[..2], ["features.camera_model = OPENCV", "features.focal_prior = 1200.5"]);
+        for expected in [
+            "features.camera_model = OPENCV",
+            "features.keep_camera_model = none",
+            "features.focal_prior = 1200.5",
+        ] {
+            assert!(found.iter().any(|line| line == expected), "{expected}: {found:?}");
+        }
 
         let pairs: PairSelection = "sequential:10+ends+loops:5".parse().expect("a selection");
         let found = lines(matching_options(pairs.to_string(), &VerifyOptions::default(), u64::MAX));

@@ -3,6 +3,7 @@
 //! (`cli/src/hints.rs`).
 
 use tiepoint_io::features::SiftExtractor;
+use tiepoint_sfm::geometry::CameraModelKind;
 use tiepoint_sfm::matching::NearestNeighbours;
 
 /// Value of an option that is not given.
@@ -11,6 +12,10 @@ pub(crate) const NONE: &str = "none";
 /// Key of known intrinsics, which the mapper keeps fixed.
 pub(crate) const INTRINSICS: &str = "features.intrinsics";
 
+/// Key that tells whether the default camera model was asked for, so that no other is selected.
+pub(crate) const KEEPS_CAMERA_MODEL: &str = "features.keep_camera_model";
+/// Key that tells whether the images may ask for other camera models.
+pub(crate) const SELECT_CAMERA_MODELS: &str = "mapper.select_camera_models";
 /// Key of the initial focal length.
 pub(crate) const FOCAL_PRIOR: &str = "features.focal_prior";
 /// Key of the larger side that photos are reduced to, in pixels.
@@ -54,6 +59,15 @@ pub(crate) fn difference(key: &str, was: &str, is: &str) -> String {
     if let Some(parameter) = parameter {
         let [was, is] = [was, is].map(|value| if value == "true" { "refined" } else { "fixed" });
         return format!("{parameter} {was} and not {is} (`mapper.refine`)");
+    }
+    if key == KEEPS_CAMERA_MODEL {
+        let name = CameraModelKind::SimpleRadial.name();
+        let [was, is] = [was, is].map(|value| if value == NONE { "unset" } else { name });
+        return format!("`features.camera_model` {was} and not {is}");
+    }
+    if key == SELECT_CAMERA_MODELS {
+        let [was, is] = [was, is].map(|value| if value == NONE { "as given" } else { "selected" });
+        return format!("camera models {was} and not {is}");
     }
     let built_in = [EXTRACTOR, MATCHER].into_iter().find(|(own, _)| *own == key);
     let [was, is] = [was, is].map(|value| match built_in {

@@ -15,7 +15,7 @@ use crate::tracks::without_points_at_infinity;
 /// to 363. Focal lengths that are 1 % off have 23 to 227 on the photos, 70 to 142 on a loop and
 /// from a drone, 3 to 4 from a hand and -3 on a highway. Half refines those from a hand; double
 /// keeps some that are 0.3 % off.
-const VERY_STRONG: f64 = 5.0;
+pub(super) const VERY_STRONG: f64 = 5.0;
 
 impl Refiner<'_> {
     /// Makes calibrations priors again that were kept: the model may be a joined one.

@@ -283,6 +283,7 @@ impl Saved for Solution {
             intrinsics_sds,
             field_sds,
             other_places,
+            images_at_lens_test,
         } = self;
         model.write(to);
         phase.write(to);
@@ -296,6 +297,7 @@ impl Saved for Solution {
         intrinsics_sds.write(to);
         field_sds.write(to);
         other_places.write(to);
+        images_at_lens_test.write(to);
     }
 
     fn read(from: &mut Reader) -> Option<Self> {
@@ -312,6 +314,7 @@ impl Saved for Solution {
             intrinsics_sds: Saved::read(from)?,
             field_sds: Saved::read(from)?,
             other_places: Saved::read(from)?,
+            images_at_lens_test: Saved::read(from)?,
         };
         let is_noise = match this.phase {
             Phase::Complete { noise } => noise.is_finite() && noise > 0.0,

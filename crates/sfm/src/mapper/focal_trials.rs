@@ -9,7 +9,7 @@ use tiepoint_scene::{CameraId, CorrespondenceGraph, ImagePair, Reconstruction};
 
 use super::growth::Growth;
 use super::input::Input;
-use super::support::support;
+use super::start::support;
 use crate::options::MapperOptions;
 use crate::two_view::with_focal;
 

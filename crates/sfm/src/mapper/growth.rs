@@ -142,12 +142,14 @@ impl<'a> Growth<'a> {
                 let grown = |now: usize, then: usize| now as f64 >= factor * then as f64;
                 if grown(images, at_global.0) || grown(points, at_global.1) {
                     self.refiner.refine_globally(&RefinementSchedule::GROWING, watch)?;
+                    self.select_camera_models(watch)?;
                     at_global = self.size();
                 }
                 self.keep_checkpoint(at_global, checkpoints);
             }
             // Registration that failed before the last refinement may succeed after it.
             self.refiner.refine_globally(&RefinementSchedule::GROWING, watch)?;
+            self.select_camera_models(watch)?;
             self.next_best_view.reset_trials();
             // Retries one failed image.
             let next = self.register_usual().or_else(|| self.register_weak());
@@ -159,6 +161,14 @@ impl<'a> Growth<'a> {
             };
             self.add_image(image, watch)?;
             self.keep_checkpoint(at_global, checkpoints);
+        }
+    }
+
+    /// Selects camera models, but in a trial.
+    fn select_camera_models(&mut self, watch: &mut Watch) -> Result<(), Error> {
+        match self.extent {
+            Extent::All => self.refiner.select_camera_models(watch),
+            Extent::Trial { .. } | Extent::Overlap { .. } => Ok(()),
         }
     }
 

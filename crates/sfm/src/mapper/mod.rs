@@ -1,6 +1,7 @@
 //! The incremental mapper.
 
 mod calibration;
+mod camera_models;
 mod checkpoint;
 mod existing;
 mod extend;
@@ -20,7 +21,6 @@ mod solution;
 mod stages;
 mod start;
 mod submap;
-mod support;
 mod term_frame;
 #[cfg(test)]
 mod test_scene;

@@ -29,6 +29,8 @@ pub(super) struct Solution {
     pub(super) field_sds: BTreeMap<CameraId, Vec<f64>>,
     /// Places that look like this one, and are others.
     pub(super) other_places: Vec<OtherPlace>,
+    /// Number of images at the last selection of camera models.
+    pub(super) images_at_lens_test: usize,
 }
 
 /// Phase of the construction.
@@ -59,6 +61,7 @@ impl Solution {
             intrinsics_sds: None,
             field_sds: BTreeMap::new(),
             other_places: Vec::new(),
+            images_at_lens_test: 0,
         }
     }
 }

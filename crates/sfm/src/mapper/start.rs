@@ -4,13 +4,12 @@ use std::ops::ControlFlow;
 
 use tiepoint_adjust::{RefineIntrinsics, Scope};
 use tiepoint_geometry::Rigid3;
-use tiepoint_scene::{ImageId, ImagePair};
+use tiepoint_scene::{ImageId, ImagePair, Reconstruction};
 
 use super::growth::Growth;
 use super::input::Input;
 use super::refinement_schedule::RefinementSchedule;
 use super::solution::Solution;
-use super::support::support;
 use crate::Error;
 use crate::event::{Event, Watch, notify};
 use crate::options::MapperOptions;
@@ -26,6 +25,9 @@ const MAX_TRIAL_IMAGES: usize = 7;
 const MAX_TRIAL_MODELS: usize = 6;
 /// A trial model with this relative support is accepted at once. Its rms error is below 0.5 px.
 const ACCEPTED_SUPPORT: f64 = 0.94;
+
+/// Errors from this size on do not support a hypothesis, in pixels.
+const MAX_SUPPORT_ERROR_PX: f64 = 2.0;
 
 impl Growth<'_> {
     /// Returns the candidate pairs, best first.
@@ -106,4 +108,17 @@ impl Growth<'_> {
             required: options.min_initial_inliers,
         })
     }
+}
+
+/// Support of a model: the sum over observations of 1 − (error / threshold)², at least 0. Also
+/// returns the sum relative to the number of observations.
+pub(super) fn support(model: &Reconstruction) -> (f64, f64) {
+    let errors = model
+        .tracks()
+        .flat_map(|(_, t)| t.observations.iter().map(|o| model.observation_error_px(o, &t.xyz)));
+    let sum: f64 = errors
+        .flatten()
+        .map(|error_px| (1.0 - (error_px / MAX_SUPPORT_ERROR_PX).powi(2)).max(0.0))
+        .sum();
+    (sum, sum / model.num_observations().max(1) as f64)
 }

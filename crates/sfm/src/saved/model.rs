@@ -37,12 +37,7 @@ impl Saved for Reconstruction {
     fn read(from: &mut Reader) -> Option<Self> {
         let mut model = from.scene.clone();
         for id in (0..model.num_cameras()).map(CameraId::from_index) {
-            let intrinsics = Intrinsics::read(from)?;
-            let camera = model.camera_mut(id);
-            if intrinsics.kind() != camera.intrinsics.kind() {
-                return None;
-            }
-            camera.intrinsics = intrinsics;
+            model.camera_mut(id).intrinsics = Intrinsics::read(from)?;
         }
         model.calibrated = BTreeSet::read(from)?;
         for id in (0..model.num_images()).map(ImageId::from_index) {

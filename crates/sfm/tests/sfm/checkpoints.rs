@@ -16,7 +16,7 @@ use tiepoint_synth::{
     Drive, DriveOptions, Effects, FeatureOptions, FeatureScene, MatchOptions, Mount, ViewDirection,
 };
 
-use crate::{known_rigs, one_model, rig, submaps};
+use crate::{camera_models, known_rigs, one_model, rig, submaps};
 
 /// Damaged states that are tried.
 const DAMAGED: usize = 60;
@@ -229,4 +229,18 @@ fn damaged_and_foreign_states_do_no_harm() {
     for state in [&states[1], states.last().unwrap(), &Vec::new(), &vec![255; 1000]] {
         assert_eq!(fewer.run(Some(state), true).resumed, Some(None));
     }
+}
+
+/// Moments of two cameras: as many images as a selection of camera models has.
+const MOMENTS: usize = 6;
+
+#[test]
+fn a_camera_has_another_camera_model() {
+    let (scene, graph, _) = camera_models::street(MOMENTS, true, 0.0);
+    let mut setup = Setup::of(graph, scene);
+    setup.options = MapperOptions { select_camera_models: true, ..MapperOptions::default() };
+    let models = setup.mapper().run(&setup.options).unwrap();
+    let kind = |it: &Reconstruction| it.cameras().next().unwrap().1.intrinsics.kind();
+    assert_ne!(kind(&models[0].reconstruction), kind(&setup.scene), "another camera model");
+    setup.check();
 }

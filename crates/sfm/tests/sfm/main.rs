@@ -3,6 +3,7 @@
 #![allow(clippy::unwrap_used)] // the lint knows test functions, not their helpers
 
 mod all_around;
+mod camera_models;
 mod checkpoints;
 mod clocks;
 mod common;

@@ -23,6 +23,7 @@ fn numbers() -> [Set; 9] {
     let MapperOptions {
         refine: _,
         keep_calibrations: _,
+        select_camera_models: _,
         tracks:
             TrackOptions {
                 max_create_error_px: _,

@@ -29,7 +29,7 @@ fn options_of(options: &Options) -> Result<AllOptions, String> {
     let model = CameraModelKind::from_name(&name.to_ascii_uppercase());
     let model = model.map_err(|error| error.to_string())?;
     let calibration = match options.text("camera_params") {
-        "" => Calibration::Unknown { model, focal_px: None },
+        "" => Calibration::Unknown { model: Some(model), focal_px: None },
         params => Calibration::Known(intrinsics(model, params, "camera_params")?),
     };
     let cameras = match options.flag("single_camera") {

@@ -1,0 +1,97 @@
+//! Camera models of lenses of which nothing is known, selected while a model grows.
+
+use std::collections::BTreeSet;
+
+use tiepoint_adjust::{
+    Gauge, LensModel, Scope, better_lens_models, cameras_with_fields, relative_noise,
+};
+use tiepoint_geometry::CameraModelKind;
+use tiepoint_scene::{CameraId, Reconstruction};
+
+use super::calibration::VERY_STRONG;
+use super::refinement_schedule::RefinementSchedule;
+use super::refiner::Refiner;
+use super::solution::Phase;
+use crate::Error;
+use crate::event::Watch;
+use crate::tracks::without_points_at_infinity;
+
+/// The camera models, each able to describe the lenses of those before it.
+const MODELS: [CameraModelKind; 4] = [
+    CameraModelKind::SimpleRadial,
+    CameraModelKind::Radial,
+    CameraModelKind::Opencv,
+    CameraModelKind::OpencvFisheye,
+];
+/// The first selection has so many images, and each later one twice as many as the one before it.
+/// Not varied.
+const MIN_IMAGES: usize = 10;
+/// No more selections from this number of images on: what so many images did not ask for, more do
+/// not, and a fit costs as much as a global adjustment. Not varied.
+const MAX_IMAGES: usize = 160;
+/// Logarithm of the Bayes factor for another lens where no camera turns. There, focal length and
+/// depths follow each freedom of a lens. Of 16 rendered drives with pinholes (docs/benchmarks/
+/// drives.md), 2 have more, with 10 and 21 images, 13 have at most 11, and KITTI 04 has 6; action
+/// lenses have 61 to 33,000 with at most 21 images. Half and double change nothing on the pinholes;
+/// with double a camera of two drives gets its camera model later.
+const VERY_STRONG_WITHOUT_TURNS: f64 = 50.0;
+/// The fit of a camera model.
+const FIT: RefinementSchedule =
+    RefinementSchedule { max_iterations: 50, ..RefinementSchedule::GROWING };
+
+impl Refiner<'_> {
+    /// Gives cameras of unknown lenses another camera model where the images ask for it.
+    pub(super) fn select_camera_models(&mut self, watch: &mut Watch) -> Result<(), Error> {
+        let options = self.input.options;
+        let (before, now) =
+            (self.solution.images_at_lens_test, self.solution.model.num_registered());
+        let is_due = now >= MIN_IMAGES && now >= 2 * before && before < MAX_IMAGES;
+        if !options.select_camera_models || !options.refine.distortion || !is_due {
+            return Ok(());
+        }
+        self.solution.images_at_lens_test = now;
+        let better = self.better_camera_models();
+        if better.is_empty() {
+            return Ok(());
+        }
+        for LensModel { camera, intrinsics, .. } in better {
+            self.solution.model.camera_mut(camera).intrinsics = intrinsics;
+        }
+        // Poses and points follow the intrinsics before tracks change.
+        self.adjust(&Scope::Global, &FIT)?;
+        self.refine_globally(&RefinementSchedule::GROWING, watch)
+    }
+
+    /// Camera models for which the evidence is very strong.
+    fn better_camera_models(&mut self) -> Vec<LensModel> {
+        let cameras = cameras_of_unknown_lenses(&self.solution.model);
+        // With all that is refined of a complete model: a principal point that is held looks like a
+        // decentred lens.
+        let phase = self.solution.phase;
+        self.solution.phase = Phase::Complete { noise: relative_noise(&self.solution.model) };
+        let mut options = self.adjust_options(&FIT);
+        self.solution.phase = phase;
+        options.gauge = Gauge::FirstAndFarthest;
+        let turns = options.refine.principal_point;
+        let is_determined = |kind: &CameraModelKind| turns || *kind != CameraModelKind::Opencv;
+        let kinds: Vec<CameraModelKind> = MODELS.into_iter().filter(is_determined).collect();
+        let model = without_points_at_infinity(&self.solution.model);
+        let least = if turns { VERY_STRONG } else { VERY_STRONG_WITHOUT_TURNS };
+        // A fit that fails tells nothing.
+        better_lens_models(&model, &cameras, &kinds, least, &options).unwrap_or_default()
+    }
+}
+
+/// The cameras whose lenses are unknown, in order of their ids. Turned cameras of one lens keep
+/// their camera models, which are one.
+fn cameras_of_unknown_lenses(model: &Reconstruction) -> Vec<CameraId> {
+    let shared: BTreeSet<CameraId> =
+        model.portrait_landscape_pairs.iter().flatten().copied().collect();
+    let is_unknown = |id: &CameraId| {
+        MODELS.contains(&model.camera(*id).intrinsics.kind())
+            && !model.calibrated.contains(id)
+            && !model.intrinsics_priors.contains_key(id)
+            && !shared.contains(id)
+    };
+    cameras_with_fields(model, model.cameras().map(|(id, _)| id).filter(is_unknown))
+}
