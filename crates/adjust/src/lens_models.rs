@@ -16,6 +16,7 @@ use tiepoint_scene::{
 
 use crate::Error;
 use crate::field_effects::{field_effects, leave_images, num_modes};
+use crate::infinity::without_points_at_infinity;
 use crate::noise::FitNoise;
 use crate::options::{AdjustOptions, Scope};
 use crate::selection::select_points;
@@ -54,11 +55,10 @@ pub fn better_lens_models(
     least: f64,
     options: &AdjustOptions,
 ) -> Result<Vec<LensModel>, Error> {
-    let mut model = selected(model);
+    let mut model = selected(&without_points_at_infinity(model));
     let options = &AdjustOptions { select_tracks: false, ..*options };
     adjust(&mut model, &Scope::Global, options, &mut [], &mut keep_going)?;
-    // A point behind a camera is not determined by it.
-    remove_unprojected(&mut model);
+    leave_undetermined(&mut model);
     let cost = adjust(&mut model, &Scope::Global, options, &mut [], &mut keep_going)?.final_cost;
     let mut fits = Vec::new();
     for (rank, &kind) in kinds.iter().enumerate() {
@@ -108,7 +108,7 @@ fn fit(
         expected[id.index()] = Some(IntrinsicsPrior::new(nearest, width, height, effect_px));
     }
     let fitted = adjust(&mut model, &Scope::Global, options, &mut [], &mut keep_going)?.final_cost;
-    remove_unprojected(&mut model);
+    leave_undetermined(&mut model);
     let noise = FitNoise::of(&model, &options.loss);
     // The criterion knows of no fields, which explain a part of every gain.
     let num_more = num_more as f64;
@@ -140,8 +140,9 @@ fn num_distortion(kind: CameraModelKind) -> usize {
     (0..kind.num_params()).filter(|index| is_distortion(kind, *index)).count()
 }
 
-/// Removes the observations of points that their cameras do not project.
-fn remove_unprojected(model: &mut Reconstruction) {
+/// Leaves out what would not be determined: points behind their cameras and at infinity, and images
+/// with hardly any points.
+fn leave_undetermined(model: &mut Reconstruction) {
     let is_projected =
         |it: &Observation, track: &Track| model.observation_error_px(it, &track.xyz).is_some();
     let unprojected: Vec<Observation> = model
@@ -152,6 +153,7 @@ fn remove_unprojected(model: &mut Reconstruction) {
         .collect();
     unprojected.into_iter().for_each(|observation| model.remove_observation(observation));
     leave_images(model);
+    *model = without_points_at_infinity(model);
 }
 
 /// The images and points that determine lenses.

@@ -1,13 +1,14 @@
 //! Whether calibrations are exact or priors.
 
-use tiepoint_adjust::{CalibrationEvidence, Scope, calibration_evidence};
+use tiepoint_adjust::{
+    CalibrationEvidence, Scope, calibration_evidence, without_points_at_infinity,
+};
 use tiepoint_scene::{CameraId, IntrinsicsPrior, Reconstruction};
 
 use super::refinement_schedule::RefinementSchedule;
 use super::refiner::Refiner;
 use crate::Error;
 use crate::event::Watch;
-use crate::tracks::without_points_at_infinity;
 
 /// Logarithm of the Bayes factor above which images contradict a calibration: "very strong"
 /// evidence (Kass and Raftery 1995, section 3.2). Rendered drives with exact intrinsics and a lens

@@ -14,7 +14,6 @@ use super::refiner::Refiner;
 use super::solution::Phase;
 use crate::Error;
 use crate::event::Watch;
-use crate::tracks::without_points_at_infinity;
 
 /// The camera models, each able to describe the lenses of those before it.
 const MODELS: [CameraModelKind; 4] = [
@@ -31,7 +30,7 @@ const MIN_IMAGES: usize = 10;
 const MAX_IMAGES: usize = 160;
 /// Logarithm of the Bayes factor for another lens where no camera turns. There, focal length and
 /// depths follow each freedom of a lens. Of 16 rendered drives with pinholes (docs/benchmarks/
-/// drives.md), 2 have more, with 10 and 21 images, 13 have at most 11, and KITTI 04 has 6; action
+/// drives.md), 2 have more, with 10 and 21 images, 14 have at most 7, and KITTI 04 has 6; action
 /// lenses have 61 to 33,000 with at most 21 images. Half and double change nothing on the pinholes;
 /// with double a camera of two drives gets its camera model later.
 const VERY_STRONG_WITHOUT_TURNS: f64 = 50.0;
@@ -54,7 +53,13 @@ impl Refiner<'_> {
         if better.is_empty() {
             return Ok(());
         }
-        for LensModel { camera, intrinsics, .. } in better {
+        // The model is as good as before if it fails.
+        let _ = self.transaction(|refiner| refiner.take_lenses(better, watch))?;
+        Ok(())
+    }
+
+    fn take_lenses(&mut self, lenses: Vec<LensModel>, watch: &mut Watch) -> Result<(), Error> {
+        for LensModel { camera, intrinsics, .. } in lenses {
             self.solution.model.camera_mut(camera).intrinsics = intrinsics;
         }
         // Poses and points follow the intrinsics before tracks change.
@@ -75,10 +80,10 @@ impl Refiner<'_> {
         let turns = options.refine.principal_point;
         let is_determined = |kind: &CameraModelKind| turns || *kind != CameraModelKind::Opencv;
         let kinds: Vec<CameraModelKind> = MODELS.into_iter().filter(is_determined).collect();
-        let model = without_points_at_infinity(&self.solution.model);
         let least = if turns { VERY_STRONG } else { VERY_STRONG_WITHOUT_TURNS };
         // A fit that fails tells nothing.
-        better_lens_models(&model, &cameras, &kinds, least, &options).unwrap_or_default()
+        better_lens_models(&self.solution.model, &cameras, &kinds, least, &options)
+            .unwrap_or_default()
     }
 }
 

@@ -2,11 +2,12 @@
 
 use std::collections::BTreeMap;
 
-use tiepoint_adjust::{AdjustOptions, FitNoise, Scope, Term, build_problem, covariance_of_fit};
+use tiepoint_adjust::{
+    AdjustOptions, FitNoise, Scope, Term, build_problem, covariance_of_fit,
+    without_points_at_infinity,
+};
 use tiepoint_ba::AnyKey;
 use tiepoint_scene::{CameraId, Reconstruction};
-
-use crate::tracks::without_points_at_infinity;
 
 /// Standard deviations of the parameters of each camera, in their order and units; 0 for constant
 /// ones. The residuals of keypoints may be correlated ([`covariance_of_fit`]). Rigs are left out,

@@ -2,7 +2,9 @@
 
 use std::collections::BTreeMap;
 
-use tiepoint_adjust::{FieldFit, Scope, cameras_with_fields, fit_with_lens_fields};
+use tiepoint_adjust::{
+    FieldFit, Scope, cameras_with_fields, fit_with_lens_fields, without_points_at_infinity,
+};
 use tiepoint_scene::{Camera, CameraId, IntrinsicsPrior, Reconstruction};
 
 use super::intrinsics_sds::intrinsics_sds;
@@ -10,7 +12,6 @@ use super::refinement_schedule::RefinementSchedule;
 use super::refiner::Refiner;
 use crate::Error;
 use crate::event::Watch;
-use crate::tracks::without_points_at_infinity;
 
 /// A focal length is uncertain if its standard deviation moves the projection of some ray at the
 /// border of the image by more than this. It is the unit of calibrations, too

@@ -12,7 +12,9 @@
 
 use std::ops::ControlFlow;
 
-use tiepoint_adjust::{AdjustOptions, Error, Scope, Term, adjust, build_problem};
+use tiepoint_adjust::{
+    AdjustOptions, Error, Scope, Term, adjust, build_problem, without_points_at_infinity,
+};
 use tiepoint_ba::{AnyKey, IterationRecord, Key, Summary};
 use tiepoint_geometry::Sim3;
 use tiepoint_geometry::nalgebra::{DMatrix, Vector3};
@@ -24,7 +26,7 @@ use super::control_points::{Found, MarkedPoint, PointError, errors, places};
 use super::control_term::{ControlLandmark, ControlTerm};
 use super::redundancy::Redundancy;
 use crate::terms::with_terms;
-use crate::tracks::{filter_images, without_points_at_infinity};
+use crate::tracks::filter_images;
 
 /// Scale of the loss in the last robust adjustment, in standard deviations: two thirds of
 /// [`MAX_RIGHT`], so that a point at that limit has a third of its weight.

@@ -1,6 +1,9 @@
 //! Covariance of the rig extrinsics and clocks.
 
-use tiepoint_adjust::{AdjustOptions, FitNoise, Scope, Term, build_problem, covariance_of_fit};
+use tiepoint_adjust::{
+    AdjustOptions, FitNoise, Scope, Term, build_problem, covariance_of_fit,
+    without_points_at_infinity,
+};
 use tiepoint_ba::{AnyKey, Key};
 use tiepoint_geometry::{Rigid3, so3};
 use tiepoint_rig::Clock;
@@ -10,7 +13,6 @@ use super::extrinsics::{ExtrinsicsCovariance, RigExtrinsics};
 use super::extrinsics_term::ExtrinsicsTerm;
 use crate::Error;
 use crate::terms::with_terms;
-use crate::tracks::without_points_at_infinity;
 
 /// Returns the covariance of each camera's extrinsics and clock; `None` if the information matrix
 /// is singular. Entries of constant parameters are zero. The residuals of keypoints may be

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use tiepoint_adjust::{
     AdjustOptions, Error, FitNoise, Scope, Shifted, Term, TermContext, Variables, adjust,
-    build_problem, covariance_of_fit, keep_going,
+    build_problem, covariance_of_fit, keep_going, without_points_at_infinity,
 };
 use tiepoint_ba::factors::Prior;
 use tiepoint_ba::{AnyKey, EliminationOrder, Key, Problem};
@@ -14,7 +14,6 @@ use tiepoint_scene::{CameraId, ImageId, Reconstruction};
 
 use super::readout::RollingShutter;
 use crate::terms::with_terms;
-use crate::tracks::without_points_at_infinity;
 
 /// Standard deviation of the prior on a readout time, in seconds. Cameras have 5 to 35 ms.
 const READOUT_SIGMA_S: f64 = 0.03;

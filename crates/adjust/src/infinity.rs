@@ -9,7 +9,7 @@ const MIN_DEPTH_INFORMATION: f64 = 1e-8;
 
 /// Returns a copy of the model in which points at infinity are held out. Such points constrain only
 /// rotations, which the other points constrain as well.
-pub(crate) fn without_points_at_infinity(model: &Reconstruction) -> Reconstruction {
+pub fn without_points_at_infinity(model: &Reconstruction) -> Reconstruction {
     let is_far = |track: &Track| {
         let mut information = Matrix3::zeros();
         for pose in track.observations.iter().filter_map(|o| model.image(o.image).cam_from_world())
