@@ -15,7 +15,7 @@ use tiepoint_io::database::{Database, DatabaseFrame};
 use tiepoint_io::features::Descriptors;
 use tiepoint_io::{ply, timestamps};
 use tiepoint_sfm::adjust::{RefineIntrinsics, Term};
-use tiepoint_sfm::geometry::OptionError;
+use tiepoint_sfm::geometry::{CameraModelKind, OptionError};
 use tiepoint_sfm::rigs::{rig_candidates, rig_pairs};
 use tiepoint_sfm::scene::KnownRigs;
 use tiepoint_sfm::scene::{
@@ -252,9 +252,11 @@ impl<'a> MapRequest<'a> {
             OptionError::check_positive("calibration_sigma_px", sigma_px)?;
         }
         let is_imported = of_features(option_names::DATABASE);
-        // Only an unknown lens of photos: a database or a model states camera models.
-        mapper.select_camera_models &=
-            !is_imported && input_model.is_none() && !of_features(option_names::KEEPS_CAMERA_MODEL);
+        // Only an unknown lens of photos: a database, a model and the user state camera models.
+        let recorded = workspace.records.option(Stage::Features, option_names::CAMERA_MODEL);
+        let is_default = recorded == Some(CameraModelKind::SimpleRadial.name())
+            && !of_features(option_names::KEEPS_CAMERA_MODEL);
+        mapper.select_camera_models &= !is_imported && input_model.is_none() && is_default;
         let mut texts = option_keys::mapping_options(&mapper, baseline_m);
         let has_known = input_model.is_some()
             || rig_calibration.is_some()
@@ -991,7 +993,7 @@ fn other_images(model: &MappedModel) -> BTreeSet<ImageId> {
 mod tests {
     use sfm::adjust::Error::NothingToAdjust;
     use tiepoint_sfm::geometry::nalgebra::{UnitQuaternion, Vector3};
-    use tiepoint_sfm::geometry::{CameraModelKind, Intrinsics, Rigid3};
+    use tiepoint_sfm::geometry::{Intrinsics, Rigid3};
     use tiepoint_sfm::rigs::{CalibratedCamera, CalibratedRig, RigConstraint, RigPair, SensorPair};
     use tiepoint_sfm::scene::{Camera, Frame, ImagePair, Match, Rig, RigId, RigSensor, TwoView};
 

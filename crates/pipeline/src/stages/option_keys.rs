@@ -22,10 +22,10 @@ use tiepoint_sfm::two_view::VerifyOptions;
 
 use crate::stages::dense::options::DenseOptions;
 use crate::workspace::option_names::{
-    CALIBRATION_KEY, CALIBRATION_SIGMA_KEY, CAMERAS_KEY, CONTROL_POINTS_KEY, DATABASE, EXTRACTOR,
-    FOCAL_PRIOR, FOUND_PAIRS, INTRINSICS, KEEPS_CAMERA_MODEL, MATCHER, MAX_PIXELS_KEY,
-    MAX_SIZE_KEY, NONE, PAIRS, POSITION_PRIORS_KEY, REFINE_EXTRINSICS_KEY, RIG_CALIBRATION_KEY,
-    SELECT_CAMERA_MODELS,
+    CALIBRATION_KEY, CALIBRATION_SIGMA_KEY, CAMERA_MODEL, CAMERAS_KEY, CONTROL_POINTS_KEY,
+    DATABASE, EXTRACTOR, FOCAL_PRIOR, FOUND_PAIRS, INTRINSICS, KEEPS_CAMERA_MODEL, MATCHER,
+    MAX_PIXELS_KEY, MAX_SIZE_KEY, NONE, PAIRS, POSITION_PRIORS_KEY, REFINE_EXTRINSICS_KEY,
+    RIG_CALIBRATION_KEY, SELECT_CAMERA_MODELS,
 };
 
 /// Keys with their values.
@@ -44,7 +44,7 @@ pub(crate) fn feature_options(calibration: &Calibration, timestamps: Option<Stri
         params.join(",")
     };
     vec![
-        ("features.camera_model", model.unwrap_or(default).name().to_owned()),
+        (CAMERA_MODEL, model.unwrap_or(default).name().to_owned()),
         (KEEPS_CAMERA_MODEL, or_none(is_kept.then_some(true))),
         (FOCAL_PRIOR, or_none(focal_px)),
         (INTRINSICS, or_none(intrinsics.map(numbers))),

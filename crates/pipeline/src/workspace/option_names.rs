@@ -12,6 +12,8 @@ pub(crate) const NONE: &str = "none";
 /// Key of known intrinsics, which the mapper keeps fixed.
 pub(crate) const INTRINSICS: &str = "features.intrinsics";
 
+/// Key of the camera model that cameras begin with.
+pub(crate) const CAMERA_MODEL: &str = "features.camera_model";
 /// Key that tells whether the default camera model was asked for, so that no other is selected.
 pub(crate) const KEEPS_CAMERA_MODEL: &str = "features.keep_camera_model";
 /// Key that tells whether the images may ask for other camera models.
