@@ -60,7 +60,7 @@ pub(crate) fn num_modes(num_cameras: usize) -> usize {
 /// are zero. Images with hardly any points do not determine their poses, and make the system
 /// singular: they are left out. Rigs are left out as well.
 pub(crate) fn fit_poses(model: &mut Reconstruction, options: &AdjustOptions) -> Result<(), Error> {
-    leave_images(model);
+    leave_out_weak_images(model);
     let fit = AdjustOptions {
         refine: RefineIntrinsics::NONE,
         refine_calibrated: Some(RefineIntrinsics::NONE),
@@ -72,8 +72,8 @@ pub(crate) fn fit_poses(model: &mut Reconstruction, options: &AdjustOptions) -> 
     adjust(model, &Scope::Global, &fit, &mut [], &mut keep_going).map(|_| ())
 }
 
-/// Leaves rigs and images with hardly any points out.
-pub(crate) fn leave_images(model: &mut Reconstruction) {
+/// Leaves rigs out, and images with hardly any points.
+pub(crate) fn leave_out_weak_images(model: &mut Reconstruction) {
     model.frames.clear();
     let is_weak = |(_, image, _): &(ImageId, &Image, &Rigid3)| {
         image.points().iter().flatten().take(MIN_POINTS).count() < MIN_POINTS

@@ -1,6 +1,7 @@
 #![doc = include_str!("../README.md")]
 
 mod calibration_evidence;
+mod camera_models;
 mod covariance;
 mod error;
 mod field_effects;
@@ -10,7 +11,6 @@ mod gauge;
 mod image_grid;
 mod infinity;
 mod intrinsics;
-mod lens_models;
 mod noise;
 mod options;
 mod portrait_landscape;
@@ -24,6 +24,7 @@ mod triangulation;
 mod variables;
 
 pub use calibration_evidence::{CalibrationEvidence, calibration_evidence};
+pub use camera_models::{BetterCameraModel, better_camera_models};
 pub use covariance::covariance_of_fit;
 pub use error::Error;
 pub use field_effects::cameras_with_fields;
@@ -31,7 +32,6 @@ pub use field_fit::{FieldFit, fit_with_lens_fields};
 pub use gauge::{Gauge, fix_gauge};
 pub use image_grid::grid_cell;
 pub use infinity::without_points_at_infinity;
-pub use lens_models::{LensModel, better_lens_models};
 pub use noise::{FitNoise, keypoint_sigma_px, relative_noise};
 pub use options::{AdjustOptions, FocalPrior, RefineIntrinsics, Scope};
 pub use problem::build_problem;

@@ -261,7 +261,7 @@ fn stages(report: &Report) -> String {
 
 /// What mapping found out about the cameras of the first model, a line each.
 fn cameras(report: &Report) -> Vec<String> {
-    let lenses = selected_camera_models(report).into_iter().chain(calibrations(report));
+    let lenses = other_camera_models(report).into_iter().chain(calibrations(report));
     let mut lines: Vec<String> = lenses.map(|lens| format!("lens      {lens}")).collect();
     let cameras = report.models.first().into_iter().flat_map(|model| &model.cameras);
     for (id, readout_s) in cameras.filter_map(|camera| Some((camera.id, camera.readout_s?))) {
@@ -273,18 +273,17 @@ fn cameras(report: &Report) -> Vec<String> {
 /// Smaller numbers are 0.0 with one decimal.
 const LEAST_SHOWN: f64 = 0.05;
 
-/// The cameras of the first model that got another camera model, a line each.
-fn selected_camera_models(report: &Report) -> Vec<String> {
-    let initial = report.stages.features.iter().flat_map(|features| &features.cameras);
-    let initial: Vec<_> = initial.collect();
+/// The cameras of the first model that have another camera model than photos begin with, a line
+/// each: the images asked for it, or an input model has it.
+fn other_camera_models(report: &Report) -> Vec<String> {
+    let initial = report.stages.features.as_ref().map_or(&[][..], |features| &features.cameras);
     let cameras = report.models.first().into_iter().flat_map(|model| &model.cameras);
-    let selected = cameras.filter_map(|camera| {
+    let other = cameras.filter_map(|camera| {
         let before = initial.iter().find(|other| other.id == camera.id)?;
         let (id, now, before) = (camera.id, &camera.model, &before.model);
-        (now != before)
-            .then(|| format!("camera {id}: the images ask for {now} in place of {before}"))
+        (now != before).then(|| format!("camera {id}: {now} in place of {before}"))
     });
-    selected.take(MAX_NAMES).collect()
+    other.take(MAX_NAMES).collect()
 }
 
 /// How far the calibrations of the first model's cameras were refined, a line each.

@@ -5,7 +5,7 @@ use tiepoint_geometry::{CameraModel, CameraModelKind, Intrinsics, with_camera_mo
 
 /// Number of pixels in a row and in a column whose rays are projected.
 const GRID: usize = 20;
-/// Gauss-Newton steps. Most models are linear in their distortion: one step is exact.
+/// Gauss-Newton steps. Polynomial models are linear in their distortion: one step is exact.
 const STEPS: usize = 5;
 
 /// The intrinsics of another camera model with the same focal length and principal point that
@@ -18,22 +18,14 @@ pub fn nearest_intrinsics(
     height: u32,
 ) -> Option<Intrinsics> {
     let mut found = Intrinsics::centred(kind, from.mean_focal_px(), width, height);
-    let (focal, centre) = (from.focal_lengths_px(), from.principal_point());
-    for (&index, value) in kind.focal_indices().iter().zip(focal) {
-        found.params_mut()[index] = value;
+    if let &[x, y] = kind.focal_indices() {
+        let focal_px = from.focal_lengths_px();
+        (found.params_mut()[x], found.params_mut()[y]) = (focal_px[0], focal_px[1]);
     }
-    if let &[focal] = kind.focal_indices() {
-        found.params_mut()[focal] = from.mean_focal_px();
-    }
-    for (&index, value) in kind.principal_point_indices().iter().zip(centre.iter()) {
+    for (&index, value) in kind.principal_point_indices().iter().zip(&from.principal_point()) {
         found.params_mut()[index] = *value;
     }
-    let is_distortion = |index: &usize| {
-        !kind.focal_indices().contains(index)
-            && !kind.principal_point_indices().contains(index)
-            && !kind.metadata_indices().contains(index)
-    };
-    let free: Vec<usize> = (0..kind.num_params()).filter(is_distortion).collect();
+    let free = kind.distortion_indices();
     let at = |index: usize, size: u32| (index as f64 + 0.5) / GRID as f64 * f64::from(size);
     let pixels = (0..GRID * GRID).map(|i| Vector2::new(at(i % GRID, width), at(i / GRID, height)));
     let rays: Vec<_> = pixels.filter_map(|pixel| Some((pixel, from.unproject(&pixel)?))).collect();

@@ -1,7 +1,7 @@
 //! Priors on intrinsics, and two cameras that are one lens in portrait and landscape format.
 
 use tiepoint_adjust::{
-    AdjustOptions, RefineIntrinsics, Scope, adjust, better_lens_models, keep_going,
+    AdjustOptions, RefineIntrinsics, Scope, adjust, better_camera_models, keep_going,
 };
 use tiepoint_ba::testing::check_jacobians;
 use tiepoint_geometry::nalgebra::SVector;
@@ -192,7 +192,7 @@ fn the_camera_model_of_a_lens_is_found() {
             nearest_intrinsics(&truth.intrinsics, MODELS[0], 640, 480).expect("a lens");
         let options = AdjustOptions { noise: KEYPOINT_NOISE_PX, ..AdjustOptions::default() };
         let model = adjusted(model, &options);
-        let found = better_lens_models(&model, &[id], &MODELS, VERY_STRONG, &options);
+        let found = better_camera_models(&model, &[id], &MODELS, VERY_STRONG, &options);
         let found = found.expect("a model");
         if kind == MODELS[0] {
             assert_eq!(found, []);

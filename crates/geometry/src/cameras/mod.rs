@@ -233,6 +233,14 @@ impl CameraModelKind {
     pub fn num_params(self) -> usize {
         self.param_names().len()
     }
+
+    /// Indices of the distortion parameters.
+    pub fn distortion_indices(self) -> Vec<usize> {
+        let others =
+            [self.focal_indices(), self.principal_point_indices(), self.metadata_indices()];
+        let is_other = |index: &usize| others.iter().any(|indices| indices.contains(index));
+        (0..self.num_params()).filter(|index| !is_other(index)).collect()
+    }
 }
 
 impl Intrinsics {

@@ -28,8 +28,6 @@ pub enum Calibration {
     Known(Intrinsics),
 }
 
-/// The camera model of an unknown lens.
-const UNKNOWN_LENS: CameraModelKind = CameraModelKind::SimpleRadial;
 /// Default focal length over the larger image side, as in COLMAP: a field of view of 45°.
 const DEFAULT_FOCAL: f64 = 1.2;
 /// The same for a fisheye: an equidistant view of 180°, 1/π.
@@ -42,6 +40,9 @@ impl Default for Calibration {
 }
 
 impl Calibration {
+    /// The camera model of an unknown lens, as in COLMAP.
+    pub const DEFAULT_MODEL: CameraModelKind = CameraModelKind::SimpleRadial;
+
     /// The initial camera of a photo on its own.
     ///
     /// # Errors
@@ -63,7 +64,7 @@ impl Calibration {
                 return camera_of(&intrinsics, None, name, info)
                     .map_err(|what| Error::Intrinsics { what });
             }
-            Self::Unknown { model, focal_px } => (model.unwrap_or(UNKNOWN_LENS), focal_px),
+            Self::Unknown { model, focal_px } => (model.unwrap_or(Self::DEFAULT_MODEL), focal_px),
         };
         let has_device = exif.device != Device::default();
         let scale = if has_device { f64::from(longest) / f64::from(largest.0) } else { 1.0 };

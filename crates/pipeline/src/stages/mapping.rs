@@ -7,7 +7,7 @@ use std::num::NonZeroUsize;
 use std::ops::ControlFlow;
 use std::path::PathBuf;
 
-use tiepoint_input::cameras::CalibrationFacts;
+use tiepoint_input::cameras::{Calibration, CalibrationFacts};
 use tiepoint_input::fingerprint::hash_file;
 use tiepoint_input::{ImageFolder, Size};
 use tiepoint_io::colmap::Format;
@@ -15,7 +15,7 @@ use tiepoint_io::database::{Database, DatabaseFrame};
 use tiepoint_io::features::Descriptors;
 use tiepoint_io::{ply, timestamps};
 use tiepoint_sfm::adjust::{RefineIntrinsics, Term};
-use tiepoint_sfm::geometry::{CameraModelKind, OptionError};
+use tiepoint_sfm::geometry::OptionError;
 use tiepoint_sfm::rigs::{rig_candidates, rig_pairs};
 use tiepoint_sfm::scene::KnownRigs;
 use tiepoint_sfm::scene::{
@@ -254,7 +254,7 @@ impl<'a> MapRequest<'a> {
         let is_imported = of_features(option_names::DATABASE);
         // Only an unknown lens of photos: a database, a model and the user state camera models.
         let recorded = workspace.records.option(Stage::Features, option_names::CAMERA_MODEL);
-        let is_default = recorded == Some(CameraModelKind::SimpleRadial.name())
+        let is_default = recorded == Some(Calibration::DEFAULT_MODEL.name())
             && !of_features(option_names::KEEPS_CAMERA_MODEL);
         mapper.select_camera_models &= !is_imported && input_model.is_none() && is_default;
         let mut texts = option_keys::mapping_options(&mapper, baseline_m);
@@ -993,7 +993,7 @@ fn other_images(model: &MappedModel) -> BTreeSet<ImageId> {
 mod tests {
     use sfm::adjust::Error::NothingToAdjust;
     use tiepoint_sfm::geometry::nalgebra::{UnitQuaternion, Vector3};
-    use tiepoint_sfm::geometry::{Intrinsics, Rigid3};
+    use tiepoint_sfm::geometry::{CameraModelKind, Intrinsics, Rigid3};
     use tiepoint_sfm::rigs::{CalibratedCamera, CalibratedRig, RigConstraint, RigPair, SensorPair};
     use tiepoint_sfm::scene::{Camera, Frame, ImagePair, Match, Rig, RigId, RigSensor, TwoView};
 

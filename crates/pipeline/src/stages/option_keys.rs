@@ -13,7 +13,7 @@ use tiepoint_input::cameras::{Calibration, CameraGrouping};
 use tiepoint_io::features::Extractor;
 use tiepoint_sfm::MapperOptions;
 use tiepoint_sfm::adjust::RefineIntrinsics;
-use tiepoint_sfm::geometry::{CameraModelKind, Intrinsics, Loss};
+use tiepoint_sfm::geometry::{Intrinsics, Loss};
 use tiepoint_sfm::matching::Matcher;
 use tiepoint_sfm::register::RegisterOptions;
 use tiepoint_sfm::rolling_shutter::Readout;
@@ -33,7 +33,7 @@ type Texts = Vec<(&'static str, String)>;
 
 /// Options of the feature stage. `timestamps`: hash of the file of capture times.
 pub(crate) fn feature_options(calibration: &Calibration, timestamps: Option<String>) -> Texts {
-    let default = CameraModelKind::SimpleRadial;
+    let default = Calibration::DEFAULT_MODEL;
     let (model, focal_px, intrinsics) = match calibration {
         Calibration::Unknown { model, focal_px } => (*model, *focal_px, None),
         Calibration::Known(intrinsics) => (Some(intrinsics.kind()), None, Some(intrinsics)),

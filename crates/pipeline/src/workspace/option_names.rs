@@ -2,8 +2,8 @@
 //! in backquotes; the program shows its flags and commands instead, and Python its keywords
 //! (`cli/src/hints.rs`).
 
+use tiepoint_input::cameras::Calibration;
 use tiepoint_io::features::SiftExtractor;
-use tiepoint_sfm::geometry::CameraModelKind;
 use tiepoint_sfm::matching::NearestNeighbours;
 
 /// Value of an option that is not given.
@@ -63,7 +63,7 @@ pub(crate) fn difference(key: &str, was: &str, is: &str) -> String {
         return format!("{parameter} {was} and not {is} (`mapper.refine`)");
     }
     if key == KEEPS_CAMERA_MODEL {
-        let name = CameraModelKind::SimpleRadial.name();
+        let name = Calibration::DEFAULT_MODEL.name();
         let [was, is] = [was, is].map(|value| if value == NONE { "unset" } else { name });
         return format!("`features.camera_model` {was} and not {is}");
     }

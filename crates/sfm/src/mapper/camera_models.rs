@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use tiepoint_adjust::{
-    Gauge, LensModel, Scope, better_lens_models, cameras_with_fields, relative_noise,
+    BetterCameraModel, Gauge, Scope, better_camera_models, cameras_with_fields, relative_noise,
 };
 use tiepoint_geometry::CameraModelKind;
 use tiepoint_scene::{CameraId, Reconstruction};
@@ -15,7 +15,8 @@ use super::solution::Phase;
 use crate::Error;
 use crate::event::Watch;
 
-/// The camera models, each able to describe the lenses of those before it.
+/// The camera models. Each describes the lenses of those before it, OPENCV_FISHEYE nearly and
+/// without decentring.
 const MODELS: [CameraModelKind; 4] = [
     CameraModelKind::SimpleRadial,
     CameraModelKind::Radial,
@@ -25,14 +26,14 @@ const MODELS: [CameraModelKind; 4] = [
 /// The first selection has so many images, and each later one twice as many as the one before it.
 /// Not varied.
 const MIN_IMAGES: usize = 10;
-/// No more selections from this number of images on: what so many images did not ask for, more do
-/// not, and a fit costs as much as a global adjustment. Not varied.
+/// No selection follows one that had so many images: a fit costs as much as a global adjustment.
+/// Not varied.
 const MAX_IMAGES: usize = 160;
 /// Logarithm of the Bayes factor for another lens where no camera turns. There, focal length and
 /// depths follow each freedom of a lens. Of 16 rendered drives with pinholes (docs/benchmarks/
 /// drives.md), 2 have more, with 10 and 21 images, 14 have at most 7, and KITTI 04 has 6; action
-/// lenses have 61 to 33,000 with at most 21 images. Half and double change nothing on the pinholes;
-/// with double a camera of two drives gets its camera model later.
+/// lenses have 61 to 33,000 with at most 21 images. By these numbers half and double change nothing
+/// on the pinholes, and with double a camera of three drives gets its camera model later.
 const VERY_STRONG_WITHOUT_TURNS: f64 = 50.0;
 /// The fit of a camera model.
 const FIT: RefinementSchedule =
@@ -54,12 +55,16 @@ impl Refiner<'_> {
             return Ok(());
         }
         // The model is as good as before if it fails.
-        let _ = self.transaction(|refiner| refiner.take_lenses(better, watch))?;
+        let _ = self.transaction(|refiner| refiner.set_camera_models(better, watch))?;
         Ok(())
     }
 
-    fn take_lenses(&mut self, lenses: Vec<LensModel>, watch: &mut Watch) -> Result<(), Error> {
-        for LensModel { camera, intrinsics, .. } in lenses {
+    fn set_camera_models(
+        &mut self,
+        better: Vec<BetterCameraModel>,
+        watch: &mut Watch,
+    ) -> Result<(), Error> {
+        for BetterCameraModel { camera, intrinsics, .. } in better {
             self.solution.model.camera_mut(camera).intrinsics = intrinsics;
         }
         // Poses and points follow the intrinsics before tracks change.
@@ -68,27 +73,27 @@ impl Refiner<'_> {
     }
 
     /// Camera models for which the evidence is very strong.
-    fn better_camera_models(&mut self) -> Vec<LensModel> {
-        let cameras = cameras_of_unknown_lenses(&self.solution.model);
+    fn better_camera_models(&self) -> Vec<BetterCameraModel> {
+        let model = &self.solution.model;
+        let cameras = cameras_of_unknown_lenses(model);
         // With all that is refined of a complete model: a principal point that is held looks like a
         // decentred lens.
-        let phase = self.solution.phase;
-        self.solution.phase = Phase::Complete { noise: relative_noise(&self.solution.model) };
-        let mut options = self.adjust_options(&FIT);
-        self.solution.phase = phase;
+        let phase = Phase::Complete { noise: relative_noise(model) };
+        let mut options = self.adjust_options_in(phase, &FIT);
         options.gauge = Gauge::FirstAndFarthest;
-        let turns = options.refine.principal_point;
-        let is_determined = |kind: &CameraModelKind| turns || *kind != CameraModelKind::Opencv;
+        // It is refined where a camera turns, unless the user holds it.
+        let is_centre_refined = options.refine.principal_point;
+        let is_determined =
+            |kind: &CameraModelKind| is_centre_refined || *kind != CameraModelKind::Opencv;
         let kinds: Vec<CameraModelKind> = MODELS.into_iter().filter(is_determined).collect();
-        let least = if turns { VERY_STRONG } else { VERY_STRONG_WITHOUT_TURNS };
+        let least = if is_centre_refined { VERY_STRONG } else { VERY_STRONG_WITHOUT_TURNS };
         // A fit that fails tells nothing.
-        better_lens_models(&self.solution.model, &cameras, &kinds, least, &options)
-            .unwrap_or_default()
+        better_camera_models(model, &cameras, &kinds, least, &options).unwrap_or_default()
     }
 }
 
-/// The cameras whose lenses are unknown, in order of their ids. Turned cameras of one lens keep
-/// their camera models, which are one.
+/// The cameras whose lenses are unknown, in order of their ids. The cameras of one lens in portrait
+/// and landscape format are none: both must have one camera model.
 fn cameras_of_unknown_lenses(model: &Reconstruction) -> Vec<CameraId> {
     let shared: BTreeSet<CameraId> =
         model.portrait_landscape_pairs.iter().flatten().copied().collect();

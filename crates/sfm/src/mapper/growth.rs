@@ -164,7 +164,7 @@ impl<'a> Growth<'a> {
         }
     }
 
-    /// Selects camera models, but in a trial.
+    /// Selects camera models, except in trials and overlaps.
     fn select_camera_models(&mut self, watch: &mut Watch) -> Result<(), Error> {
         match self.extent {
             Extent::All => self.refiner.select_camera_models(watch),

@@ -157,8 +157,17 @@ impl<'a> Refiner<'a> {
     /// them. Calibrated ones stay constant while the model grows. After that the calibration holds
     /// what the images do not determine.
     pub(super) fn adjust_options(&self, schedule: &RefinementSchedule) -> AdjustOptions<'a> {
+        self.adjust_options_in(self.solution.phase, schedule)
+    }
+
+    /// [`Refiner::adjust_options`] as if the model were in this phase.
+    pub(super) fn adjust_options_in(
+        &self,
+        phase: Phase,
+        schedule: &RefinementSchedule,
+    ) -> AdjustOptions<'a> {
         let Input { options, focal_priors, .. } = self.input;
-        let Solution { ref model, phase, initial_pair, is_in_frame_of_terms, .. } = self.solution;
+        let Solution { ref model, initial_pair, is_in_frame_of_terms, .. } = self.solution;
         let mut refine = options.refine;
         let (is_complete, has_rotation) = (phase != Phase::Growing, has_rotation(model));
         refine.focal &= is_complete || has_rotation;

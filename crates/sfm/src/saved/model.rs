@@ -37,7 +37,15 @@ impl Saved for Reconstruction {
     fn read(from: &mut Reader) -> Option<Self> {
         let mut model = from.scene.clone();
         for id in (0..model.num_cameras()).map(CameraId::from_index) {
-            model.camera_mut(id).intrinsics = Intrinsics::read(from)?;
+            let intrinsics = Intrinsics::read(from)?;
+            let is_known =
+                model.calibrated.contains(&id) || model.intrinsics_priors.contains_key(&id);
+            let camera = model.camera_mut(id);
+            // The mapper selects camera models of unknown lenses alone.
+            if is_known && intrinsics.kind() != camera.intrinsics.kind() {
+                return None;
+            }
+            camera.intrinsics = intrinsics;
         }
         model.calibrated = BTreeSet::read(from)?;
         for id in (0..model.num_images()).map(ImageId::from_index) {

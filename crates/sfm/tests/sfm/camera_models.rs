@@ -1,19 +1,15 @@
 //! Camera models of unknown lenses, on streets as features.
 
-use tiepoint_geometry::{CameraModelKind, Intrinsics};
-use tiepoint_scene::{CameraId, CorrespondenceGraph, Reconstruction};
+use tiepoint_geometry::CameraModelKind;
+use tiepoint_scene::{CorrespondenceGraph, Reconstruction};
 use tiepoint_sfm::{Mapper, MapperOptions};
-use tiepoint_synth::{
-    Drive, DriveOptions, Effects, FeatureOptions, FeatureScene, LensField, MatchOptions, RouteKind,
-};
+use tiepoint_synth::{DriveOptions, Effects, FeatureScene, LensField, RouteKind};
+
+use crate::lens::{LENS_FIELD_PX, begin_as_simple_radial, street_of};
 
 /// Moments of two cameras.
 const FRAMES: usize = 30;
 const OBSERVATIONS: usize = 30_000;
-/// Focal lengths are looked for from a fifth above the true ones.
-const FOCAL_RATIO: f64 = 1.2;
-/// What KITTI's rectified images have.
-const LENS_FIELD_PX: f64 = 0.15;
 
 /// The first moments of a loop, without poses, and the matches. The cameras begin as SIMPLE_RADIAL.
 pub(crate) fn street(
@@ -24,27 +20,17 @@ pub(crate) fn street(
     let effects = Effects { has_action_lens, ..Effects::default() };
     let route = RouteKind::Loop;
     let options = DriveOptions { rate_hz: 5.0, route, effects, ..DriveOptions::default() };
-    let mut drive = Drive::new(&options).expect("a street of 200 m");
-    drive.keep_first(frames);
-    let features = FeatureOptions { observations: OBSERVATIONS, ..FeatureOptions::default() };
-    let scene = FeatureScene::new(&drive, &features).expect("sound options");
-    let graph = scene.graph(&MatchOptions { window: Some(6), ..MatchOptions::default() });
+    let (_, scene, graph) = street_of(&options, frames, OBSERVATIONS);
     let mut blank = scene.without_poses();
     if lens_field_px > 0.0 {
         LensField::displace_keypoints(&mut blank, lens_field_px, 1);
     }
-    let ids: Vec<CameraId> = blank.cameras().map(|(id, _)| id).collect();
-    for id in ids {
-        let camera = blank.camera_mut(id);
-        let focal_px = FOCAL_RATIO * camera.intrinsics.mean_focal_px();
-        let (kind, width, height) = (CameraModelKind::SimpleRadial, camera.width, camera.height);
-        camera.intrinsics = Intrinsics::centred(kind, focal_px, width, height);
-        camera.has_focal_prior = false;
-    }
+    begin_as_simple_radial(&mut blank);
     (blank, graph, scene)
 }
 
-/// Relative error of the focal length on the axis. SIMPLE_RADIAL ends 20 % short on the loop.
+/// Relative error of the focal length on the axis. On rendered loops SIMPLE_RADIAL ends 20 % short
+/// (docs/benchmarks/drives.md).
 const MAX_FOCAL_ERROR: f64 = 0.05;
 
 #[test]

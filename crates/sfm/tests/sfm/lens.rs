@@ -17,6 +17,7 @@ use tiepoint_synth::{
 use crate::common::sample;
 
 const FRAMES: usize = 40;
+const OBSERVATIONS: usize = 40_000;
 /// Grid points along each side of the image for comparing lenses.
 const GRID: u32 = 20;
 
@@ -51,11 +52,7 @@ fn a_street_rotates_no_camera_and_keeps_pixels_square() {
     for &seed in sample(&SEEDS) {
         let effects = Effects { has_action_lens: true, ..Effects::default() };
         let options = DriveOptions { seed, rate_hz: 5.0, effects, ..DriveOptions::default() };
-        let mut drive = Drive::new(&options).expect("a street of 200 m");
-        drive.keep_first(FRAMES);
-        let features = FeatureOptions { seed, observations: 40_000, ..FeatureOptions::default() };
-        let scene = FeatureScene::new(&drive, &features).expect("sound options");
-        let graph = scene.graph(&MatchOptions { window: Some(6), ..MatchOptions::default() });
+        let (drive, scene, graph) = street_of(&options, FRAMES, OBSERVATIONS);
         let mut blank = scene.without_poses();
         let ids: Vec<CameraId> = blank.cameras().map(|(id, _)| id).collect();
         for id in &ids {
@@ -89,21 +86,32 @@ fn a_street_rotates_no_camera_and_keeps_pixels_square() {
 const CALIBRATION_ERROR: f64 = 0.01;
 const MAX_LEFT: f64 = 0.5 * CALIBRATION_ERROR;
 /// What KITTI's rectified images have.
-const LENS_FIELD_PX: f64 = 0.15;
+pub(crate) const LENS_FIELD_PX: f64 = 0.15;
 
 /// A street of 40 moments and its matches.
 fn street() -> (FeatureScene, CorrespondenceGraph) {
-    street_of(1)
+    street_of_seed(1)
 }
 
-fn street_of(seed: u64) -> (FeatureScene, CorrespondenceGraph) {
+fn street_of_seed(seed: u64) -> (FeatureScene, CorrespondenceGraph) {
     let options = DriveOptions { seed, rate_hz: 5.0, ..DriveOptions::default() };
-    let mut drive = Drive::new(&options).expect("a street of 200 m");
-    drive.keep_first(FRAMES);
-    let features = FeatureOptions { seed, observations: 40_000, ..FeatureOptions::default() };
+    let (_, scene, graph) = street_of(&options, FRAMES, OBSERVATIONS);
+    (scene, graph)
+}
+
+/// The first moments of a drive, and their matches.
+pub(crate) fn street_of(
+    options: &DriveOptions,
+    frames: usize,
+    observations: usize,
+) -> (Drive, FeatureScene, CorrespondenceGraph) {
+    let mut drive = Drive::new(options).expect("a street of 200 m");
+    drive.keep_first(frames);
+    let seed = options.seed;
+    let features = FeatureOptions { seed, observations, ..FeatureOptions::default() };
     let scene = FeatureScene::new(&drive, &features).expect("sound options");
     let graph = scene.graph(&MatchOptions { window: Some(6), ..MatchOptions::default() });
-    (scene, graph)
+    (drive, scene, graph)
 }
 
 /// The street without poses, with a lens field, and calibrations whose focal lengths are off by
@@ -205,6 +213,19 @@ fn an_image_with_hardly_any_points_leaves_the_evidence() {
 const FIELDS: [(u64, f64); 4] = [(1, LENS_FIELD_PX), (2, LENS_FIELD_PX), (1, 0.5), (3, 0.5)];
 /// Focal lengths are looked for from a fifth above the true ones.
 const FOCAL_RATIO: f64 = 1.2;
+
+/// Cameras of which nothing is known.
+pub(crate) fn begin_as_simple_radial(blank: &mut Reconstruction) {
+    let ids: Vec<CameraId> = blank.cameras().map(|(id, _)| id).collect();
+    for id in ids {
+        let camera = blank.camera_mut(id);
+        let focal_px = FOCAL_RATIO * camera.intrinsics.mean_focal_px();
+        let (kind, width, height) = (CameraModelKind::SimpleRadial, camera.width, camera.height);
+        camera.intrinsics = Intrinsics::centred(kind, focal_px, width, height);
+        camera.has_focal_prior = false;
+    }
+}
+
 /// Of a normal distribution, 1 of 370 values is beyond three standard deviations. With one of two
 /// cameras fitted beside a constant one, the first street has an error of 0.6 px with 0.1 px.
 const MAX_DEVIATIONS: f64 = 3.0;
@@ -214,18 +235,10 @@ const MAX_RELATIVE_SD: f64 = 0.1;
 #[test]
 fn deviations_of_uncertain_focal_lengths_count_lens_fields() {
     for &(seed, field_px) in sample(&FIELDS) {
-        let (scene, graph) = street_of(seed);
+        let (scene, graph) = street_of_seed(seed);
         let mut blank = scene.without_poses();
         LensField::displace_keypoints(&mut blank, field_px, seed);
-        let ids: Vec<CameraId> = blank.cameras().map(|(id, _)| id).collect();
-        for id in ids {
-            let camera = blank.camera_mut(id);
-            let focal_px = FOCAL_RATIO * camera.intrinsics.mean_focal_px();
-            let (kind, width, height) =
-                (CameraModelKind::SimpleRadial, camera.width, camera.height);
-            camera.intrinsics = Intrinsics::centred(kind, focal_px, width, height);
-            camera.has_focal_prior = false;
-        }
+        begin_as_simple_radial(&mut blank);
         let models = Mapper::new(&graph, &blank).run(&MapperOptions::default());
         let mapped = models.expect("the scene is easy").remove(0);
         let model = &mapped.reconstruction;

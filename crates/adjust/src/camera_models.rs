@@ -1,13 +1,14 @@
-//! Camera models that describe lenses better than the ones that a model has.
+//! Camera models that describe the lenses of a model better than its own.
 //!
 //! A camera model with more distortion parameters always fits better: it takes a part of the field
 //! of displacements that every lens leaves, and on a straight drive focal length and depths follow.
 //! So two hypotheses are compared by how likely they make the distortion that fits best without a
 //! field, as calibrations are ([`crate::calibration_evidence`]):
 //!
-//! - The lens is the one of the simpler model, and has a field.
-//! - Each distortion parameter of the other model is off by its standard deviation, and the lens
-//!   has a field.
+//! - The lens is the one of the other camera model that is nearest to the present one, and has a
+//!   field.
+//! - Each distortion parameter differs from that one by its standard deviation, and the lens has a
+//!   field.
 
 use tiepoint_geometry::{CameraModelKind, Intrinsics};
 use tiepoint_scene::{
@@ -15,22 +16,22 @@ use tiepoint_scene::{
 };
 
 use crate::Error;
-use crate::field_effects::{field_effects, leave_images, num_modes};
+use crate::field_effects::{field_effects, leave_out_weak_images, num_modes};
 use crate::infinity::without_points_at_infinity;
 use crate::noise::FitNoise;
 use crate::options::{AdjustOptions, Scope};
 use crate::selection::select_points;
 use crate::solve::{adjust, keep_going};
 
-/// By how much each distortion parameter is off under the second hypothesis: it moves the border of
-/// the image by a hundredth of its larger side. The rectilinear lenses of phones differ by as much,
-/// action cameras by ten times more. The logarithm of the Bayes factor of a lens that differs
-/// changes by its number of parameters times that of this number.
+/// Standard deviation of each distortion parameter under the second hypothesis, by its effect: it
+/// moves the projection of some ray at the border of the image by this part of the larger side. An
+/// assumption, not varied: where images determine a parameter, twice the value lowers the logarithm
+/// of the Bayes factor by ln 2.
 const RELATIVE_EFFECT: f64 = 0.01;
 
-/// A camera model for the lens of a camera.
+/// A camera model that describes the lens of a camera better.
 #[derive(Clone, Debug, PartialEq)]
-pub struct LensModel {
+pub struct BetterCameraModel {
     /// The camera.
     pub camera: CameraId,
     /// The intrinsics that fit best.
@@ -39,50 +40,56 @@ pub struct LensModel {
     pub log_bayes_factor: f64,
 }
 
-/// Fits other camera models to some cameras, and returns lenses whose logarithm of the Bayes factor
-/// is above `least`, at most one for each camera: that of the fit with the best Bayesian
-/// information criterion. Each of `kinds` describes the lenses of those before it, too: a camera is
-/// fitted with those behind its own. Poses and points are free; other cameras, rigs and terms take
-/// no part.
+/// Fits other camera models to some cameras, and returns those whose logarithm of the Bayes factor
+/// is above `least`, at most one for each camera: of the fit with the best Bayesian information
+/// criterion, which is one of all cameras. Each of `kinds` describes the lenses of those before it,
+/// at least nearly: a camera is fitted with those behind its own. Poses, points and the intrinsics
+/// of other cameras are free as the options say; rigs and terms take no part.
 ///
 /// # Errors
 ///
-/// If there is nothing to adjust.
-pub fn better_lens_models(
+/// If there are cameras to fit and nothing to adjust.
+pub fn better_camera_models(
     model: &Reconstruction,
     cameras: &[CameraId],
     kinds: &[CameraModelKind],
     least: f64,
     options: &AdjustOptions,
-) -> Result<Vec<LensModel>, Error> {
-    let mut model = selected(&without_points_at_infinity(model));
-    let options = &AdjustOptions { select_tracks: false, ..*options };
-    adjust(&mut model, &Scope::Global, options, &mut [], &mut keep_going)?;
-    leave_undetermined(&mut model);
-    let cost = adjust(&mut model, &Scope::Global, options, &mut [], &mut keep_going)?.final_cost;
-    let mut fits = Vec::new();
-    for (rank, &kind) in kinds.iter().enumerate() {
+) -> Result<Vec<BetterCameraModel>, Error> {
+    let with_simpler = |(rank, &kind): (usize, &CameraModelKind)| {
         let is_simpler =
             |id: &CameraId| kinds[..rank].contains(&model.camera(*id).intrinsics.kind());
         let simpler: Vec<CameraId> = cameras.iter().copied().filter(is_simpler).collect();
-        if !simpler.is_empty() {
-            // A camera model whose fit is undetermined is none for this lens.
-            fits.extend(fit(&model, cost, &simpler, kind, options).unwrap_or_default());
-        }
+        (kind, simpler)
+    };
+    let mut trials: Vec<(CameraModelKind, Vec<CameraId>)> =
+        kinds.iter().enumerate().map(with_simpler).collect();
+    trials.retain(|(_, simpler)| !simpler.is_empty());
+    if trials.is_empty() {
+        return Ok(Vec::new());
     }
+    let mut model = selected(without_points_at_infinity(model));
+    let options = &AdjustOptions { select_tracks: false, ..*options };
+    adjust(&mut model, &Scope::Global, options, &mut [], &mut keep_going)?;
+    leave_out_undetermined(&mut model);
+    let cost = adjust(&mut model, &Scope::Global, options, &mut [], &mut keep_going)?.final_cost;
+    // A camera model whose fit is undetermined is none for this lens.
+    let fitted = |(kind, simpler)| fit(&model, cost, simpler, kind, options).unwrap_or_default();
+    let mut fits: Vec<Fit> =
+        trials.iter().map(|(kind, simpler)| (*kind, &simpler[..])).filter_map(fitted).collect();
     fits.sort_by(|one, other| other.gain.total_cmp(&one.gain));
     let best = |camera: CameraId| {
-        let mut lenses = fits.iter().flat_map(|fit| &fit.lenses);
-        lenses.find(|lens| lens.camera == camera && lens.log_bayes_factor > least).cloned()
+        let mut found = fits.iter().flat_map(|fit| &fit.cameras);
+        found.find(|it| it.camera == camera && it.log_bayes_factor > least).cloned()
     };
     Ok(cameras.iter().filter_map(|camera| best(*camera)).collect())
 }
 
 /// A fit of some cameras with one camera model.
 struct Fit {
-    /// How much better the information criterion is.
+    /// Decrease of the information criterion.
     gain: f64,
-    lenses: Vec<LensModel>,
+    cameras: Vec<BetterCameraModel>,
 }
 
 /// Fits all cameras with one camera model. `None` if the information criterion is not better.
@@ -95,6 +102,7 @@ fn fit(
 ) -> Result<Option<Fit>, Error> {
     let mut model = model.clone();
     let mut expected: Vec<Option<IntrinsicsPrior>> = vec![None; model.cameras().count()];
+    let distortion = kind.distortion_indices();
     let mut num_more = 0;
     for &id in cameras {
         let camera = *model.camera(id);
@@ -103,12 +111,13 @@ fn fit(
             continue;
         };
         model.camera_mut(id).intrinsics = nearest;
-        num_more += num_distortion(kind).saturating_sub(num_distortion(camera.intrinsics.kind()));
+        let own = camera.intrinsics.kind().distortion_indices().len();
+        num_more += distortion.len().saturating_sub(own);
         let effect_px = RELATIVE_EFFECT * f64::from(width.max(height));
         expected[id.index()] = Some(IntrinsicsPrior::new(nearest, width, height, effect_px));
     }
     let fitted = adjust(&mut model, &Scope::Global, options, &mut [], &mut keep_going)?.final_cost;
-    leave_undetermined(&mut model);
+    leave_out_undetermined(&mut model);
     let noise = FitNoise::of(&model, &options.loss);
     // The criterion knows of no fields, which explain a part of every gain.
     let num_more = num_more as f64;
@@ -120,29 +129,18 @@ fn fit(
     let expected = |id: CameraId| expected[id.index()].as_ref();
     let effects = field_effects(&model, expected, options.refine, options, &noise)?;
     let modes = num_modes(cameras.len());
-    let lenses = cameras.iter().filter_map(|&camera| {
-        let effects = effects.of(|id, index| id == camera && is_distortion(kind, index))?;
+    let found = cameras.iter().filter_map(|&camera| {
+        let effects = effects.of(|id, index| id == camera && distortion.contains(&index))?;
         let log_bayes_factor = effects.log_bayes_factor(modes)?;
         let intrinsics = model.camera(camera).intrinsics;
-        Some(LensModel { camera, intrinsics, log_bayes_factor })
+        Some(BetterCameraModel { camera, intrinsics, log_bayes_factor })
     });
-    Ok(Some(Fit { gain, lenses: lenses.collect() }))
-}
-
-/// Whether a parameter is one of the distortion.
-fn is_distortion(kind: CameraModelKind, index: usize) -> bool {
-    !kind.focal_indices().contains(&index)
-        && !kind.principal_point_indices().contains(&index)
-        && !kind.metadata_indices().contains(&index)
-}
-
-fn num_distortion(kind: CameraModelKind) -> usize {
-    (0..kind.num_params()).filter(|index| is_distortion(kind, *index)).count()
+    Ok(Some(Fit { gain, cameras: found.collect() }))
 }
 
 /// Leaves out what would not be determined: points behind their cameras and at infinity, and images
 /// with hardly any points.
-fn leave_undetermined(model: &mut Reconstruction) {
+fn leave_out_undetermined(model: &mut Reconstruction) {
     let is_projected =
         |it: &Observation, track: &Track| model.observation_error_px(it, &track.xyz).is_some();
     let unprojected: Vec<Observation> = model
@@ -152,14 +150,13 @@ fn leave_undetermined(model: &mut Reconstruction) {
         .map(|(it, _)| it)
         .collect();
     unprojected.into_iter().for_each(|observation| model.remove_observation(observation));
-    leave_images(model);
+    leave_out_weak_images(model);
     *model = without_points_at_infinity(model);
 }
 
 /// The images and points that determine lenses.
-fn selected(model: &Reconstruction) -> Reconstruction {
-    let mut model = model.clone();
-    leave_images(&mut model);
+fn selected(mut model: Reconstruction) -> Reconstruction {
+    leave_out_weak_images(&mut model);
     let points: Vec<PointId> = model.tracks().map(|(id, _)| id).collect();
     let is_trained = |id: &PointId| model.track(*id).is_some_and(|track| !track.is_held_out);
     let trained = points.iter().copied().filter(is_trained).collect();
