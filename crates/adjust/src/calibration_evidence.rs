@@ -17,6 +17,7 @@ use tiepoint_scene::{CameraId, IntrinsicsPrior, Reconstruction};
 
 use crate::Error;
 use crate::field_effects::{cameras_with_fields, field_effects, fit_poses, num_modes};
+use crate::infinity::without_points_at_infinity;
 use crate::intrinsics::fixed_columns;
 use crate::noise::FitNoise;
 use crate::options::{AdjustOptions, RefineIntrinsics};
@@ -48,8 +49,8 @@ pub fn calibration_evidence(
     if cameras.is_empty() {
         return Ok(CalibrationEvidence::default());
     }
-    let noise = FitNoise::of(model, &options.loss);
-    let mut model = model.clone();
+    let mut model = without_points_at_infinity(model);
+    let noise = FitNoise::of(&model, &options.loss);
     fit_poses(&mut model, options)?;
     let expected = |id| cameras.contains(&id).then(|| &model.intrinsics_priors[&id]);
     let effects = field_effects(&model, expected, refine, options, &noise)?.all();

@@ -42,9 +42,10 @@ pub struct BetterCameraModel {
 
 /// Fits other camera models to some cameras, and returns those whose logarithm of the Bayes factor
 /// is above `least`, at most one for each camera: of the fit with the best Bayesian information
-/// criterion, which is one of all cameras. Each of `kinds` describes the lenses of those before it,
-/// at least nearly: a camera is fitted with those behind its own. Poses, points and the intrinsics
-/// of other cameras are free as the options say; rigs and terms take no part.
+/// criterion. The criterion is one of all cameras, and about twice such a logarithm: it must be
+/// above `least`, too. Each of `kinds` describes the lenses of those before it, at least nearly: a
+/// camera is fitted with those behind its own. Poses, points and the intrinsics of other cameras
+/// are free as the options say; rigs and terms take no part.
 ///
 /// # Errors
 ///
@@ -74,7 +75,8 @@ pub fn better_camera_models(
     leave_out_undetermined(&mut model);
     let cost = adjust(&mut model, &Scope::Global, options, &mut [], &mut keep_going)?.final_cost;
     // A camera model whose fit is undetermined is none for this lens.
-    let fitted = |(kind, simpler)| fit(&model, cost, simpler, kind, options).unwrap_or_default();
+    let fitted =
+        |(kind, simpler)| fit(&model, cost, simpler, kind, least, options).unwrap_or_default();
     let mut fits: Vec<Fit> =
         trials.iter().map(|(kind, simpler)| (*kind, &simpler[..])).filter_map(fitted).collect();
     fits.sort_by(|one, other| other.gain.total_cmp(&one.gain));
@@ -92,12 +94,15 @@ struct Fit {
     cameras: Vec<BetterCameraModel>,
 }
 
-/// Fits all cameras with one camera model. `None` if the information criterion is not better.
+/// Fits all cameras with one camera model. `None` if the information criterion says that the
+/// logarithm of the Bayes factor is at most `least`: nothing else compares the other camera model
+/// with the present one where it has no more parameters.
 fn fit(
     model: &Reconstruction,
     cost: f64,
     cameras: &[CameraId],
     kind: CameraModelKind,
+    least: f64,
     options: &AdjustOptions,
 ) -> Result<Option<Fit>, Error> {
     let mut model = model.clone();
@@ -123,7 +128,7 @@ fn fit(
     let num_more = num_more as f64;
     let gain = 2.0 * (cost - fitted) / noise.sigma.powi(2)
         - num_more * (2.0 * model.num_observations() as f64).ln();
-    if gain <= 0.0 {
+    if gain <= 2.0 * least {
         return Ok(None);
     }
     let expected = |id: CameraId| expected[id.index()].as_ref();

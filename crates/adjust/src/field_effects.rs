@@ -10,6 +10,7 @@ use tiepoint_scene::{CameraId, Image, ImageId, IntrinsicsPrior, Reconstruction};
 
 use crate::Error;
 use crate::field_problem::{FieldCamera, FieldPriors, FieldProblem};
+use crate::infinity::without_points_at_infinity;
 use crate::intrinsics::fixed_columns;
 use crate::noise::FitNoise;
 use crate::options::{AdjustOptions, RefineIntrinsics, Scope};
@@ -57,7 +58,7 @@ pub(crate) fn num_modes(num_cameras: usize) -> usize {
 }
 
 /// Adjusts poses and points to the intrinsics, so that the slopes of the cost with respect to them
-/// are zero. Images with hardly any points do not determine their poses, and make the system
+/// are zero. Images with hardly any points and points that move to infinity make the system
 /// singular: they are left out. Rigs are left out as well.
 pub(crate) fn fit_poses(model: &mut Reconstruction, options: &AdjustOptions) -> Result<(), Error> {
     leave_out_weak_images(model);
@@ -69,7 +70,9 @@ pub(crate) fn fit_poses(model: &mut Reconstruction, options: &AdjustOptions) -> 
         noise: options.noise,
         ..AdjustOptions::default()
     };
-    adjust(model, &Scope::Global, &fit, &mut [], &mut keep_going).map(|_| ())
+    adjust(model, &Scope::Global, &fit, &mut [], &mut keep_going)?;
+    *model = without_points_at_infinity(model);
+    Ok(())
 }
 
 /// Leaves rigs out, and images with hardly any points.

@@ -15,6 +15,7 @@ use crate::Error;
 use crate::covariance::clustered_by_track_and_cell;
 use crate::field_effects::{field_effects, fit_poses, num_modes};
 use crate::field_problem::{FieldPriors, FieldProblem};
+use crate::infinity::without_points_at_infinity;
 use crate::noise::FitNoise;
 use crate::options::AdjustOptions;
 
@@ -46,8 +47,8 @@ pub fn fit_with_lens_fields(
     cameras: &[CameraId],
     options: &AdjustOptions,
 ) -> Result<Vec<FieldFit>, Error> {
-    let noise = FitNoise::of(model, &options.loss);
-    let mut model = model.clone();
+    let mut model = without_points_at_infinity(model);
+    let noise = FitNoise::of(&model, &options.loss);
     fit_poses(&mut model, options)?;
     let refine = options.refine;
     let is_fitted = |id: CameraId| cameras.contains(&id);

@@ -1,8 +1,6 @@
 //! Whether calibrations are exact or priors.
 
-use tiepoint_adjust::{
-    CalibrationEvidence, Scope, calibration_evidence, without_points_at_infinity,
-};
+use tiepoint_adjust::{CalibrationEvidence, Scope, calibration_evidence};
 use tiepoint_scene::{CameraId, IntrinsicsPrior, Reconstruction};
 
 use super::refinement_schedule::RefinementSchedule;
@@ -42,7 +40,7 @@ impl Refiner<'_> {
             return Ok(());
         }
         let options = self.adjust_options(&RefinementSchedule::FINAL);
-        let found = calibration_evidence(&without_points_at_infinity(model), &options);
+        let found = calibration_evidence(model, &options);
         let CalibrationEvidence { log_bayes_factor, cameras } = found.unwrap_or_default();
         if let Some(evidence) = log_bayes_factor {
             let tested = cameras.into_iter().map(|camera| (camera, evidence));

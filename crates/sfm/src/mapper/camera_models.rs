@@ -23,9 +23,15 @@ const MODELS: [CameraModelKind; 4] = [
     CameraModelKind::Opencv,
     CameraModelKind::OpencvFisheye,
 ];
-/// The first selection has so many images, and each later one twice as many as the one before it.
-/// Not varied.
+/// The first selection has so many images. Not varied.
 const MIN_IMAGES: usize = 10;
+/// Each later one has so many times the images of the one before it, while images are registered.
+/// With 1.5, of eight rendered drives with an action lens one has an ATE of 0.034 m in place of
+/// 0.013, and another one with `--rig auto` 0.336 in place of 0.019.
+pub(super) const GROWTH: f64 = 2.0;
+/// The same where no further image can be registered: four fifths of a small model's images take
+/// part in its last selection. Not varied.
+pub(super) const GROWTH_AT_END: f64 = 1.25;
 /// No selection follows one that had so many images: a fit costs as much as a global adjustment.
 /// Not varied.
 const MAX_IMAGES: usize = 160;
@@ -40,12 +46,18 @@ const FIT: RefinementSchedule =
     RefinementSchedule { max_iterations: 50, ..RefinementSchedule::GROWING };
 
 impl Refiner<'_> {
-    /// Gives cameras of unknown lenses another camera model where the images ask for it.
-    pub(super) fn select_camera_models(&mut self, watch: &mut Watch) -> Result<(), Error> {
+    /// Gives cameras of unknown lenses another camera model where the images ask for it, if the
+    /// model has `growth` times the images of the last selection.
+    pub(super) fn select_camera_models(
+        &mut self,
+        growth: f64,
+        watch: &mut Watch,
+    ) -> Result<(), Error> {
         let options = self.input.options;
         let (before, now) =
             (self.solution.images_at_lens_test, self.solution.model.num_registered());
-        let is_due = now >= MIN_IMAGES && now >= 2 * before && before < MAX_IMAGES;
+        let has_grown = now as f64 >= growth * before as f64;
+        let is_due = now >= MIN_IMAGES && has_grown && before < MAX_IMAGES;
         if !options.select_camera_models || !options.refine.distortion || !is_due {
             return Ok(());
         }
@@ -92,13 +104,15 @@ impl Refiner<'_> {
     }
 }
 
-/// The cameras whose lenses are unknown, in order of their ids. The cameras of one lens in portrait
-/// and landscape format are none: both must have one camera model.
+/// The cameras of unknown lenses that may have another camera model, in order of their ids. The
+/// cameras of one lens in portrait and landscape format are none: both must have one camera model.
 fn cameras_of_unknown_lenses(model: &Reconstruction) -> Vec<CameraId> {
     let shared: BTreeSet<CameraId> =
         model.portrait_landscape_pairs.iter().flatten().copied().collect();
+    // The last model describes the lenses of all.
+    let simpler = &MODELS[..MODELS.len() - 1];
     let is_unknown = |id: &CameraId| {
-        MODELS.contains(&model.camera(*id).intrinsics.kind())
+        simpler.contains(&model.camera(*id).intrinsics.kind())
             && !model.calibrated.contains(id)
             && !model.intrinsics_priors.contains_key(id)
             && !shared.contains(id)

@@ -7,6 +7,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use tiepoint_scene::{ImageId, Reconstruction};
 
+use super::camera_models::{GROWTH, GROWTH_AT_END};
 use super::checkpoint::{Checkpoints, Current};
 use super::input::Input;
 use super::refinement_schedule::RefinementSchedule;
@@ -142,14 +143,14 @@ impl<'a> Growth<'a> {
                 let grown = |now: usize, then: usize| now as f64 >= factor * then as f64;
                 if grown(images, at_global.0) || grown(points, at_global.1) {
                     self.refiner.refine_globally(&RefinementSchedule::GROWING, watch)?;
-                    self.select_camera_models(watch)?;
+                    self.select_camera_models(GROWTH, watch)?;
                     at_global = self.size();
                 }
                 self.keep_checkpoint(at_global, checkpoints);
             }
             // Registration that failed before the last refinement may succeed after it.
             self.refiner.refine_globally(&RefinementSchedule::GROWING, watch)?;
-            self.select_camera_models(watch)?;
+            self.select_camera_models(GROWTH_AT_END, watch)?;
             self.next_best_view.reset_trials();
             // Retries one failed image.
             let next = self.register_usual().or_else(|| self.register_weak());
@@ -165,9 +166,9 @@ impl<'a> Growth<'a> {
     }
 
     /// Selects camera models, except in trials and overlaps.
-    fn select_camera_models(&mut self, watch: &mut Watch) -> Result<(), Error> {
+    fn select_camera_models(&mut self, growth: f64, watch: &mut Watch) -> Result<(), Error> {
         match self.extent {
-            Extent::All => self.refiner.select_camera_models(watch),
+            Extent::All => self.refiner.select_camera_models(growth, watch),
             Extent::Trial { .. } | Extent::Overlap { .. } => Ok(()),
         }
     }
