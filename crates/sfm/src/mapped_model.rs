@@ -25,9 +25,10 @@ pub struct MappedModel {
     /// is at most 5, they are exact.
     pub calibration_evidence: BTreeMap<CameraId, f64>,
     /// Standard deviations of the parameters of each registered camera, in their order and units; 0
-    /// for constant ones, unless a fit with a lens field tells of them. They hold where errors are
-    /// correlated along tracks and in a part of the image. Empty if none was refined or the images
-    /// do not determine them.
+    /// for constant ones, unless a fit with a lens field tells of them. A principal point that was
+    /// held because no camera turns is none of these: its deviation is at most that of its prior.
+    /// They hold where errors are correlated along tracks and in a part of the image. Empty if none
+    /// was refined or the images do not determine them.
     pub intrinsics_sds: BTreeMap<CameraId, Vec<f64>>,
     /// Rolling shutters of the cameras, given or estimated.
     pub shutters: Vec<RollingShutter>,

@@ -208,6 +208,13 @@ impl<'a> Refiner<'a> {
         }
     }
 
+    /// What is not known of the intrinsics of cameras without a calibration: what an adjustment
+    /// refines, and the principal points that it holds because no camera turns.
+    pub(super) fn unknown_intrinsics(&self, schedule: &RefinementSchedule) -> RefineIntrinsics {
+        let refine = self.adjust_options(schedule).refine;
+        RefineIntrinsics { principal_point: self.input.options.refine.principal_point, ..refine }
+    }
+
     /// Images whose poses are constant, and which always stay registered.
     pub(super) fn constant_poses(&self) -> Option<&'a BTreeSet<ImageId>> {
         self.existing.and_then(Existing::constant_poses)

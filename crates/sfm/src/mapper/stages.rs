@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use tiepoint_adjust::RefineIntrinsics;
+use tiepoint_adjust::{AdjustOptions, RefineIntrinsics};
 
 use super::checkpoint::Checkpoints;
 use super::input::Input;
@@ -15,7 +15,7 @@ use crate::Error;
 use crate::event::{Event, Failure, OptionalStage, Watch, notify};
 use crate::mapped_model::MappedModel;
 use crate::options::RigMode;
-use crate::rigs::{Context, Descriptors, LinkWeights, constrain_rig};
+use crate::rigs::{Context, Descriptors, HeldIntrinsics, LinkWeights, constrain_rig};
 use crate::rolling_shutter::{RollingShutters, row_poses};
 
 /// Rounds of rolling-shutter correction and refinement in the last correction stage.
@@ -128,7 +128,9 @@ impl Refiner<'_> {
     }
 
     fn finished(mut self, failures: Vec<Failure>) -> MappedModel {
-        let options = self.adjust_options(&RefinementSchedule::FINAL);
+        let schedule = &RefinementSchedule::FINAL;
+        let refine = self.unknown_intrinsics(schedule);
+        let options = AdjustOptions { refine, ..self.adjust_options(schedule) };
         let mut intrinsics_sds = match self.solution.intrinsics_sds.take() {
             Some(known) => known,
             None if self.input.options.refine == RefineIntrinsics::NONE => BTreeMap::new(),
@@ -223,6 +225,10 @@ impl Refiner<'_> {
             tracks: &options.tracks,
             filter: &options.filter,
             adjust: self.adjust_options(&RefinementSchedule::RIG),
+            held: HeldIntrinsics {
+                unknown: self.unknown_intrinsics(&RefinementSchedule::RIG),
+                constant: &self.solution.kept_intrinsics.clone(),
+            },
             terms: active(&mut self.terms, &self.solution),
             seed: options.seed,
         };

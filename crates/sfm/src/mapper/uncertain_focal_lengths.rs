@@ -2,9 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use tiepoint_adjust::{
-    FieldFit, Scope, cameras_with_fields, fit_with_lens_fields, without_points_at_infinity,
-};
+use tiepoint_adjust::{FieldFit, Scope, cameras_with_fields, fit_with_lens_fields};
 use tiepoint_scene::{Camera, CameraId, IntrinsicsPrior, Reconstruction};
 
 use super::intrinsics_sds::intrinsics_sds;
@@ -43,20 +41,21 @@ impl Refiner<'_> {
         let mut options = self.adjust_options(&RefinementSchedule::FINAL);
         let sds = intrinsics_sds(&self.solution.model, &options, &mut []);
         let cameras = cameras_to_fit(&self.solution.model, &sds);
-        self.solution.intrinsics_sds = Some(sds.clone());
+        // A wrong principal point bends the image as a wrong focal length does.
+        let unknown = self.unknown_intrinsics(&RefinementSchedule::FINAL);
+        self.solution.intrinsics_sds = (unknown == options.refine).then(|| sds.clone());
+        options.refine = unknown;
         if cameras.is_empty() {
             return Ok(());
         }
-        // A wrong principal point bends the image as a wrong focal length does.
-        options.refine.principal_point = self.input.options.refine.principal_point;
-        let model = without_points_at_infinity(&self.solution.model);
+        let model = &self.solution.model;
         // Nothing is better known where the fit fails.
-        let fits = fit_with_lens_fields(&model, &cameras, &options).unwrap_or_default();
-        let counted = fits.iter().map(|fit| (fit.camera, with_difference(fit, &model, &sds)));
+        let fits = fit_with_lens_fields(model, &cameras, &options).unwrap_or_default();
+        let counted = fits.iter().map(|fit| (fit.camera, with_difference(fit, model, &sds)));
         self.solution.field_sds = counted.collect();
         let is_whole = fits.len() == model.registered_cameras().len()
             && model.portrait_landscape_pairs.is_empty();
-        if is_whole && fits.iter().any(|fit| contradicts(fit, &model, &sds)) {
+        if is_whole && fits.iter().any(|fit| contradicts(fit, model, &sds)) {
             // The model is as good as without the fit if it fails.
             let _ = self.transaction(|refiner| refiner.keep_intrinsics(fits, watch))?;
         }

@@ -28,9 +28,11 @@ use tiepoint_adjust::AdjustOptions;
 use tiepoint_rig::{Clock, relative_pose_statistics};
 use tiepoint_scene::{CameraId, ImageId, Reconstruction};
 
-use super::context::{Context, MERGE_ERROR_FACTOR};
+use super::context::{Context, HeldIntrinsics, MERGE_ERROR_FACTOR};
 use super::covariance::extrinsics_covariances;
-use super::extrinsics::{RigConstraint, RigExtrinsics, SplitImage, relative_poses};
+use super::extrinsics::{
+    ExtrinsicsCovariance, RigConstraint, RigExtrinsics, SplitImage, relative_poses,
+};
 use super::frames::{add_frames, register_rigidly};
 use super::gating::UnmatchedImages;
 use super::held_out::{HeldOutChange, HeldOutComparison, held_out_observations};
@@ -206,8 +208,7 @@ impl Context<'_> {
         )?;
         add_frames(model, &all_extrinsics);
         let (mut cameras, mut bad_pairs) = (Vec::new(), Vec::new());
-        let covariances =
-            extrinsics_covariances(model, &self.adjust, &all_extrinsics, &mut self.terms)?;
+        let covariances = self.covariances(model, &all_extrinsics)?;
         for (extrinsics, covariance) in all_extrinsics.iter().zip(covariances) {
             let constrained: BTreeSet<ImageId> =
                 extrinsics.referenced_images.iter().map(|referenced| referenced.image).collect();
@@ -242,6 +243,21 @@ impl Context<'_> {
             unconstrained,
             limit,
         })
+    }
+
+    /// The covariance of each camera's extrinsics and clock. Intrinsics that are held though nobody
+    /// knows them count with their priors: an error of a principal point becomes one of the
+    /// rotation.
+    fn covariances(
+        &mut self,
+        model: &Reconstruction,
+        all_extrinsics: &[RigExtrinsics],
+    ) -> Result<Vec<Option<ExtrinsicsCovariance>>, Error> {
+        let HeldIntrinsics { unknown, constant } = self.held;
+        let mut model = model.clone();
+        model.calibrated.retain(|camera| !constant.contains(camera));
+        let options = AdjustOptions { refine: unknown, ..self.adjust };
+        extrinsics_covariances(&model, &options, all_extrinsics, &mut self.terms)
     }
 
     /// Resets unobservable clocks to their time stamps and stores unobservable directions. Returns

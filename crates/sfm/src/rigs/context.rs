@@ -1,8 +1,10 @@
 //! State shared by the estimation steps of the rig, and joint refinement of a model and its
 //! extrinsics.
 
-use tiepoint_adjust::{AdjustOptions, Term};
-use tiepoint_scene::{CorrespondenceGraph, Reconstruction};
+use std::collections::BTreeSet;
+
+use tiepoint_adjust::{AdjustOptions, RefineIntrinsics, Term};
+use tiepoint_scene::{CameraId, CorrespondenceGraph, Reconstruction};
 
 use super::extrinsics::RigExtrinsics;
 use super::extrinsics_term::adjust_with_extrinsics;
@@ -15,12 +17,23 @@ use crate::tracks::{
 pub(super) const MERGE_ERROR_FACTOR: f64 = 2.0;
 pub(super) const ITERATIONS: usize = 50;
 
+/// What is not known of the intrinsics of cameras without a calibration, but held by the
+/// adjustments.
+#[derive(Clone, Copy)]
+pub(crate) struct HeldIntrinsics<'a> {
+    /// What is not known, whether it is refined or held.
+    pub(crate) unknown: RefineIntrinsics,
+    /// Cameras whose intrinsics are constant.
+    pub(crate) constant: &'a BTreeSet<CameraId>,
+}
+
 /// Inputs that the rig estimation takes from the mapper.
 pub(crate) struct Context<'a> {
     pub(crate) graph: &'a CorrespondenceGraph,
     pub(crate) tracks: &'a TrackOptions,
     pub(crate) filter: &'a FilterOptions,
     pub(crate) adjust: AdjustOptions<'a>,
+    pub(crate) held: HeldIntrinsics<'a>,
     /// Further terms of the adjustments.
     pub(crate) terms: Vec<&'a mut dyn Term>,
     pub(crate) seed: u64,

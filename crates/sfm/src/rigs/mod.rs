@@ -27,7 +27,7 @@ mod succession;
 
 pub use candidates::rig_candidates;
 pub(crate) use constrain::constrain_rig;
-pub(crate) use context::Context;
+pub(crate) use context::{Context, HeldIntrinsics};
 pub use extrinsics::{ExtrinsicsCovariance, RigConstraint};
 pub use frames_by_time::frames_by_time;
 pub use held_out::HeldOutChange;

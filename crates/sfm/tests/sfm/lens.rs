@@ -2,7 +2,7 @@
 
 use tiepoint_geometry::nalgebra::{UnitQuaternion, Vector2};
 use tiepoint_geometry::solvers::umeyama;
-use tiepoint_geometry::{CameraModelKind, Intrinsics};
+use tiepoint_geometry::{CameraModelKind, Intrinsics, so3};
 use tiepoint_scene::{
     Camera, CameraId, CorrespondenceGraph, Image, ImageId, IntrinsicsPrior, Observation,
     Reconstruction,
@@ -11,7 +11,7 @@ use tiepoint_sfm::adjust::{AdjustOptions, RefineIntrinsics, calibration_evidence
 use tiepoint_sfm::{Mapper, MapperOptions, RigMode};
 use tiepoint_synth::{
     Drive, DriveCamera, DriveOptions, Effects, FeatureOptions, FeatureScene, LensField,
-    MatchOptions,
+    MatchOptions, RouteKind,
 };
 
 use crate::common::sample;
@@ -250,6 +250,60 @@ fn deviations_of_uncertain_focal_lengths_count_lens_fields() {
             let told = format!("seed {seed}, field {field_px} px: {error_px} +- {sd_px} px");
             assert!(error_px.abs() < MAX_DEVIATIONS * sd_px, "{told}");
             assert!(sd_px < MAX_RELATIVE_SD * true_focal_px, "{told}");
+        }
+    }
+}
+
+/// Where the right camera's principal point is, in deviations of its prior from the image centre.
+const OFF_CENTRE: Vector2<f64> = Vector2::new(1.0, -0.5);
+/// The images tell a part of the principal point, so that the rotation is known better than by the
+/// prior alone. Observed: 0.3 to 0.44.
+const MAX_SD_OF_PRIOR: f64 = 1.0;
+
+#[test]
+fn a_principal_point_that_is_held_counts_in_the_rotation_on_the_rig() {
+    for &seed in sample(&SEEDS) {
+        let options =
+            DriveOptions { seed, rate_hz: 5.0, route: RouteKind::Open, ..DriveOptions::default() };
+        let (drive, scene, graph) = street_of(&options, FRAMES, OBSERVATIONS);
+        let mut blank = scene.without_poses();
+        // Focal lengths that are known: uncertain ones are fitted together with principal points.
+        let kind = CameraModelKind::SimpleRadial;
+        for id in [CameraId(0), CameraId(1)] {
+            let camera = blank.camera_mut(id);
+            let focal_px = camera.intrinsics.mean_focal_px();
+            camera.intrinsics = Intrinsics::centred(kind, focal_px, camera.width, camera.height);
+        }
+        let refine = RefineIntrinsics { focal: false, ..RefineIntrinsics::ALL };
+        let right = *blank.camera(CameraId(1));
+        let prior_px = AdjustOptions::default().principal_point_sigma
+            * f64::from(right.width.max(right.height));
+        let shifted = |(id, image): (ImageId, &Image)| {
+            let pixels = image.keypoints.iter().map(|keypoint| keypoint.pixel);
+            let shift =
+                if image.camera == CameraId(1) { OFF_CENTRE * prior_px } else { Vector2::zeros() };
+            (id, pixels.map(|pixel| pixel + shift).collect())
+        };
+        let shifted: Vec<(ImageId, Vec<Vector2<f64>>)> = blank.images().map(shifted).collect();
+        for (image, pixels) in shifted {
+            blank.move_keypoints(image, &pixels);
+        }
+        let rig = RigMode::Auto;
+        let mapper = MapperOptions { refine, rig, seed, ..MapperOptions::default() };
+        let models = Mapper::new(&graph, &blank).run(&mapper);
+        let mapped = models.expect("the scene is easy").remove(0);
+        let lens = &mapped.reconstruction.camera(CameraId(1)).intrinsics;
+        let centre = Vector2::new(f64::from(right.width), f64::from(right.height)) / 2.0;
+        assert_eq!(lens.principal_point(), centre, "no camera turns");
+        let camera = mapped.rig.expect("two cameras").cameras.remove(0);
+        let turn =
+            so3::log(&(camera.cam_from_rig.rotation * drive.cam_from_rig(1).rotation.inverse()));
+        let covariance = camera.covariance.expect("all is determined");
+        for k in 0..2 {
+            let (error, sd) = (turn[k], covariance[(k, k)].sqrt());
+            let told = format!("seed {seed}, axis {k}: {error} +- {sd} rad");
+            assert!(error.abs() < MAX_DEVIATIONS * sd, "{told}");
+            assert!(sd < MAX_SD_OF_PRIOR * prior_px / lens.mean_focal_px(), "{told}");
         }
     }
 }
