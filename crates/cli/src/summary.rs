@@ -23,8 +23,24 @@ const MAX_NAMES: usize = 8;
 /// is a centimetre at 10 m/s.
 const MIN_REPORTED_DIFFERENCE_S: f64 = 0.001;
 
-/// The stages and models of a workspace, and what to be warned of.
-pub(crate) fn report(workspace: &Path, report: &Report) -> String {
+/// Options of a command that those after it need as well, because no file has them.
+#[derive(Clone, Copy, Default)]
+pub(crate) struct PhotoOptions<'a> {
+    pub(crate) masks: Option<&'a Path>,
+    pub(crate) max_size: Option<u32>,
+}
+
+impl PhotoOptions<'_> {
+    /// As words of a command line, with a space before each.
+    fn words(self) -> String {
+        let masks = self.masks.map(|masks| format!(" --masks {}", shell_word(masks)));
+        let max_size = self.max_size.map(|size| format!(" --max-size {size}"));
+        masks.into_iter().chain(max_size).collect()
+    }
+}
+
+/// The stages and models of a workspace, what to be warned of, and what to do next with the photos.
+pub(crate) fn report(workspace: &Path, report: &Report, photos: PhotoOptions) -> String {
     let mut text = stages(report);
     for (index, warning) in report.warnings.iter().enumerate() {
         let label = if index == 0 { "warnings" } else { "" };
@@ -34,7 +50,7 @@ pub(crate) fn report(workspace: &Path, report: &Report) -> String {
         let label = if index == 0 { "result" } else { "" };
         let _ = writeln!(text, "{label:<9} {}", printable(sentence));
     }
-    for (index, (command, why)) in next_commands(workspace, report).iter().enumerate() {
+    for (index, (command, why)) in next_commands(workspace, report, photos).iter().enumerate() {
         let label = if index == 0 { "next" } else { "" };
         let _ = writeln!(text, "{label:<9} {}  {why}", printable(command));
     }
@@ -55,8 +71,12 @@ pub(crate) fn shard(report: &ShardReport) -> String {
 }
 
 /// What may be done next with a workspace: commands, and what each is for.
-fn next_commands(root: &Path, report: &Report) -> Vec<(String, &'static str)> {
-    let workspace = shell_word(root);
+fn next_commands(
+    root: &Path,
+    report: &Report,
+    photos: PhotoOptions,
+) -> Vec<(String, &'static str)> {
+    let (workspace, photos) = (shell_word(root), photos.words());
     let stages = &report.stages;
     let Some(model) = report.models.first() else {
         let next = if stages.matches.is_some() { "map" } else { "match" };
@@ -66,16 +86,20 @@ fn next_commands(root: &Path, report: &Report) -> Vec<(String, &'static str)> {
     let of_root = |name: &OsStr| format!("splats_{}", name.to_string_lossy());
     let splats = root.file_name().map_or_else(|| "splats".to_owned(), of_root);
     let splats = shell_word(Path::new(&splats));
+    let to_look = match has_older_page(root) {
+        false => "writes report.html, to look at it in a browser",
+        true => "writes report.html again, which shows an earlier result",
+    };
     let mut commands = vec![
-        (format!("tiepoint view {workspace}"), "writes report.html, to look at it in a browser"),
+        (format!("tiepoint view {workspace}"), to_look),
         (
-            format!("tiepoint undistort {workspace} -o {splats}"),
+            format!("tiepoint undistort {workspace} -o {splats}{photos}"),
             "images and model as trainers of Gaussian splats read them",
         ),
     ];
     if stages.dense.is_none() {
         let what = "depth maps and a dense cloud";
-        commands.push((format!("tiepoint dense {workspace}"), what));
+        commands.push((format!("tiepoint dense {workspace}{photos}"), what));
     }
     let is_unknown = model.rig.as_ref().is_some_and(|rig| rig.mode != "known");
     if is_unknown && model.scale.is_none() && model.positions.is_none() {
@@ -84,6 +108,16 @@ fn next_commands(root: &Path, report: &Report) -> Vec<(String, &'static str)> {
         commands.push((format!("tiepoint map {workspace} --redo map --baseline Xm"), what));
     }
     commands
+}
+
+/// Whether the page of a workspace is older than what it shows.
+fn has_older_page(root: &Path) -> bool {
+    let written = |path: &str| root.join(path).metadata().and_then(|found| found.modified()).ok();
+    let is_newer = |page| {
+        let results = ["sparse/0/points3D.bin", "dense/fused.ply"];
+        results.into_iter().filter_map(written).any(|result| result > page)
+    };
+    written("report.html").is_some_and(is_newer)
 }
 
 /// A path as a word of a shell's command line.
@@ -343,17 +377,23 @@ fn camera_extrinsics(camera: &RigCamera) -> String {
     let offset_ms = 1e3 * clock.offset_s;
     let time = match (clock.state, clock.offset_sd_s) {
         (RigClockState::Estimated, Some(sd_s)) => format!(
-            "time offset {offset_ms:+.2} \u{b1} {:.2} ms, skew {:+.0} \u{b1} {:.0} ppm",
+            "time offset {offset_ms:+.2} \u{b1} {:.2} ms (to add to its times), skew {:+.0} \u{b1} \
+             {:.0} ppm",
             1e3 * sd_s,
             clock.drift_ppm,
             clock.drift_sd_ppm.unwrap_or(f64::INFINITY),
         ),
-        (RigClockState::Estimated, None) => format!("time offset {offset_ms:+.2} ms"),
+        (RigClockState::Estimated, None) => {
+            format!("time offset {offset_ms:+.2} ms (to add to its times)")
+        }
         (RigClockState::Unobservable, _) => {
-            format!("time offset unobservable, fixed at {offset_ms:+.2} ms")
+            format!("time offset unobservable, fixed at {offset_ms:+.2} ms (added to its times)")
+        }
+        (RigClockState::Synchronised, _) if offset_ms == 0.0 => {
+            "images of one frame count as simultaneous".to_owned()
         }
         (RigClockState::Synchronised, _) => {
-            format!("synchronised after a time offset of {offset_ms:+.2} ms")
+            format!("synchronised after a time offset of {offset_ms:+.2} ms (added to its times)")
         }
     };
     let unobservable = camera.unobservable.map_or(String::new(), |[x, y, z]| {

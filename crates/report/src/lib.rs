@@ -1,5 +1,6 @@
 #![doc = include_str!("../README.md")]
 
+mod camera_table;
 mod coding;
 mod depth_pictures;
 mod page;

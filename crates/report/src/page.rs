@@ -25,6 +25,7 @@ use tiepoint_pipeline::workspace::{
 use tiepoint_pipeline::{Error, Report};
 
 use crate::Table;
+use crate::camera_table::camera_table;
 use crate::coding::{base64, evenly};
 use crate::depth_pictures::DenseView;
 use crate::page_file::{refuse_foreign_page, write_page};
@@ -477,7 +478,7 @@ fn left_out(skipped: &[SkippedImage]) -> Table {
     Table { caption: "Files of the input that were left out".to_owned(), head: Vec::new(), rows }
 }
 
-/// The facts of a model, and its rig.
+/// The facts of a model, its cameras and its rig.
 fn tables(report_model: &ReportModel, report: Option<&ModelReport>) -> Vec<Table> {
     let ReportModel { model, rig, world_from_model, .. } = *report_model;
     // A COLMAP model holds only registered images; the report counts all.
@@ -496,7 +497,8 @@ fn tables(report_model: &ReportModel, report: Option<&ModelReport>) -> Vec<Table
     let facts = Table { rows, ..Table::default() };
     let relative = evaluate_rig(model, rig, 1.0);
     let rig = rig_table(report.and_then(|report| report.rig.as_ref()), rig, unit);
-    let tables = [Some(facts), rig, relative_poses(&relative, unit)];
+    let cameras = camera_table(model, report, |id| camera_name(model, id));
+    let tables = [Some(facts), cameras, rig, relative_poses(&relative, unit)];
     tables.into_iter().flatten().collect()
 }
 
@@ -505,10 +507,11 @@ fn camera_name(model: &Reconstruction, id: CameraId) -> String {
     let images = || model.registered().map(|(_, image, _)| image);
     let stream = images().find(|image| image.camera == id).map_or("", |image| &*image.stream);
     let is_one = images().filter(|image| *image.stream == *stream).all(|image| image.camera == id);
+    let number = model.original_ids.camera(id);
     match stream {
-        "" => format!("camera {}", id.0 + 1),
+        "" => format!("camera {number}"),
         stream if is_one => stream.to_owned(),
-        stream => format!("{stream}, camera {}", id.0 + 1),
+        stream => format!("{stream}, camera {number}"),
     }
 }
 

@@ -76,14 +76,19 @@ fn of_clock(clock: &RigClock) -> String {
     let ms = 1e3 * clock.offset_s;
     let sd = clock.offset_sd_s.map_or(String::new(), |sd_s| format!(" ± {:.2}", 1e3 * sd_s));
     match clock.state {
-        RigClockState::Synchronised => format!("synchronised after an offset of {ms:+.2} ms"),
+        RigClockState::Synchronised if ms == 0.0 => {
+            "images of one frame count as simultaneous".to_owned()
+        }
+        RigClockState::Synchronised => {
+            format!("synchronised after an offset of {ms:+.2} ms (added to its times)")
+        }
         RigClockState::Estimated => format!(
-            "offset {ms:+.2}{sd} ms, skew {:+.0}{} ppm",
+            "offset {ms:+.2}{sd} ms (to add to its times), skew {:+.0}{} ppm",
             clock.drift_ppm,
             clock.drift_sd_ppm.map_or(String::new(), |sd| format!(" ± {sd:.0}")),
         ),
         RigClockState::Unobservable => {
-            format!("offset {ms:+.2} ms of the time stamps; the motion does not determine it")
+            format!("offset {ms:+.2} ms (added to its times), undetermined by the motion")
         }
     }
 }
@@ -170,7 +175,7 @@ mod tests {
                 "baseline left – right: 0.5000 ± 0.0123 m",
                 "centre of right in left: (0.3000, 0.0000, 0.4000) m",
                 "rotation of right: 90.000 °, undetermined by the images",
-                "clock of right: offset +182.35 ± 0.50 ms, skew -12 ppm",
+                "clock of right: offset +182.35 ± 0.50 ms (to add to its times), skew -12 ppm",
             ]
         );
     }

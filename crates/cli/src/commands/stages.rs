@@ -16,7 +16,7 @@ use crate::args::{
 use crate::failure::Failure;
 use crate::output::Output;
 use crate::progress::Progress;
-use crate::summary;
+use crate::summary::{self, PhotoOptions};
 
 pub(crate) fn reconstruct(args: &Reconstruct, output: &Output) -> Result<(), Failure> {
     if args.redo == Some(Stage::Dense) && !args.dense {
@@ -46,7 +46,8 @@ pub(crate) fn reconstruct(args: &Reconstruct, output: &Output) -> Result<(), Fai
         progress.watch(event)
     })?;
     drop(progress);
-    output.result(&report, || summary::report(workspace, &report))
+    let photos = PhotoOptions { masks: args.input.masks.as_deref(), max_size: args.input.max_size };
+    output.result(&report, || summary::report(workspace, &report, photos))
 }
 
 pub(crate) fn features(args: &Features, output: &Output) -> Result<(), Failure> {
@@ -59,7 +60,7 @@ pub(crate) fn features(args: &Features, output: &Output) -> Result<(), Failure> 
         let mut workspace = Workspace::create(root)?;
         import_features(file, inputs, &mut workspace, redo, &mut |event| progress.watch(event))?;
         drop(progress);
-        return print_report(&workspace, output);
+        return print_report(&workspace, PhotoOptions::default(), output);
     }
     if let Some(shard) = args.shard {
         let OpenedInput { photos, workspace, .. } =
@@ -77,7 +78,7 @@ pub(crate) fn features(args: &Features, output: &Output) -> Result<(), Failure> 
     options.timestamps = options.timestamps.or(timestamps);
     extract_features(&photos, &mut workspace, &options, redo, &mut |event| progress.watch(event))?;
     drop(progress);
-    print_report(&workspace, output)
+    print_report(&workspace, PhotoOptions::default(), output)
 }
 
 pub(crate) fn match_images(args: &Match, output: &Output) -> Result<(), Failure> {
@@ -95,7 +96,7 @@ pub(crate) fn match_images(args: &Match, output: &Output) -> Result<(), Failure>
     let mut progress = Progress::new(output);
     match_workspace(&mut workspace, &options, redo, &mut |event| progress.watch(event))?;
     drop(progress);
-    print_report(&workspace, output)
+    print_report(&workspace, PhotoOptions::default(), output)
 }
 
 pub(crate) fn map(args: &Map, output: &Output) -> Result<(), Failure> {
@@ -114,7 +115,7 @@ pub(crate) fn map(args: &Map, output: &Output) -> Result<(), Failure> {
     let mut progress = Progress::new(output);
     map_workspace(&mut workspace, &options, redo, &mut |event| progress.watch(event))?;
     drop(progress);
-    print_report(&workspace, output)
+    print_report(&workspace, PhotoOptions::default(), output)
 }
 
 pub(crate) fn dense(args: &Dense, output: &Output) -> Result<(), Failure> {
@@ -130,12 +131,17 @@ pub(crate) fn dense(args: &Dense, output: &Output) -> Result<(), Failure> {
     };
     dense_workspace(&mut workspace, &options, redo, &mut |event| progress.watch(event))?;
     drop(progress);
-    print_report(&workspace, output)
+    let photos = PhotoOptions { masks: args.masks.as_deref(), max_size: args.max_size };
+    print_report(&workspace, photos, output)
 }
 
-fn print_report(workspace: &Workspace, output: &Output) -> Result<(), Failure> {
+fn print_report(
+    workspace: &Workspace,
+    photos: PhotoOptions,
+    output: &Output,
+) -> Result<(), Failure> {
     let report = workspace.report()?;
-    output.result(&report, || summary::report(workspace.root(), &report))
+    output.result(&report, || summary::report(workspace.root(), &report, photos))
 }
 
 /// Checks that --redo of a command for one stage names this stage.

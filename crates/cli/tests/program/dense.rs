@@ -258,7 +258,9 @@ fn dense_uses_masks_and_writes_what_it_is_asked_for() {
     mask.save(dir.join(format!("masks/{name}.png"))).unwrap();
     let masked = "dense {}/ws --max-size 240 --masks {}/masks --depth-pngs";
     tiepoint_in(dir, masked).failed(1, &["--depth-pngs", "--redo dense"]);
-    tiepoint_in(dir, &format!("{masked} --redo dense")).done();
+    let told = tiepoint_in(dir, &format!("{masked} --redo dense")).done().stdout();
+    let next = format!("--masks {}/masks --max-size 240", dir.display());
+    assert!(told.lines().any(|it| it.contains("undistort") && it.contains(&next)), "{told}");
     let (depths, mask) = (map(name), dir.join(format!("ws/dense/masks/{name}.png")));
     let mask = image::open(mask).unwrap().into_luma8();
     let png = image::open(dir.join(format!("ws/dense/depth_png/{name}.png"))).unwrap();

@@ -70,7 +70,7 @@ fn panoramas_and_copies_are_named() {
         "2 photos say that they are panoramas, which have no lens: p0.jpg, p1.jpg; give \
          --camera-model EQUIRECTANGULAR",
         "1 photo is there twice; the second one adds little: 1.png and z.png",
-        "1 photo is there twice by their names; the second one adds little: 0.jpg and 0.png",
+        "1 photo is there twice by its name; the second one adds little: 0.jpg and 0.png",
     ] {
         assert!(said.contains(part), "{part}: {said}");
     }

@@ -1,6 +1,7 @@
 //! What the program says of images without a pose.
 
 use std::fs;
+use std::time::Duration;
 
 use serde_json::{Value, json};
 
@@ -48,6 +49,13 @@ fn a_photo_of_another_place_is_named_with_its_reason() {
     ] {
         assert!(page.contains(part), "{part}");
     }
+    // A page that is older than the model says so.
+    let older = std::time::SystemTime::now() - Duration::from_secs(3600);
+    let page = fs::File::options().append(true).open(dir.path().join("w/report.html")).unwrap();
+    page.set_modified(older).unwrap();
+    let again = tiepoint_in(dir.path(), "reconstruct {}/photos -o {}/w").done().stdout();
+    assert!(again.contains("writes report.html again"), "{again}");
+    assert!(!text.contains("writes report.html again"), "{text}");
     for part in [
         "result    incomplete: 5 of 6 images",
         "next      tiepoint view",

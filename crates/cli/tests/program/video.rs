@@ -525,6 +525,28 @@ fn invalid_videos_are_errors() {
 }
 
 #[test]
+fn the_missing_end_of_a_video_is_named() {
+    if !has_ffmpeg() {
+        return;
+    }
+    let dir = tempfile::tempdir().unwrap();
+    let dir = dir.path();
+    film(dir, "front.mov", 5);
+    // The header is before the frames, as cameras that stream write it, and states 10 s.
+    let slow = ["-vf", "setpts=20*PTS", "-c:v", "mjpeg", "-q:v", "2", "-movflags", "+faststart"];
+    assert!(converted(dir, "front.mov", &slow, "whole.mov"));
+    let bytes = fs::read(dir.join("whole.mov")).unwrap();
+    fs::write(dir.join("cut.mov"), &bytes[..bytes.len() / 2]).unwrap();
+    let notes = |name: &str| {
+        let line = format!("features {{}}/{name} -o {{}}/{name}.ws --every 1 --json");
+        tiepoint_in(dir, &line).done().json()["stages"]["features"]["notes"].to_string()
+    };
+    assert!(!notes("whole.mov").contains("the last frame"), "{}", notes("whole.mov"));
+    let cut = notes("cut.mov");
+    assert!(cut.contains("cut.mov: the last frame that can be read is at"), "{cut}");
+}
+
+#[test]
 fn photos_beside_a_video_are_refused() {
     let dir = tempfile::tempdir().unwrap();
     photos::write(&dir.path().join("photos"), 2, 0);

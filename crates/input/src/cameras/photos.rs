@@ -186,7 +186,7 @@ impl Photos {
             let key = (Path::new(name).with_extension(""), photo.info.width, photo.info.height);
             by_stem.entry(key).or_default().push(name);
         }
-        let pairs = |groups: Vec<Vec<&str>>, what: &str| {
+        let pairs = |groups: Vec<Vec<&str>>, what: (&str, &str)| {
             let mut pairs: Vec<String> = groups
                 .into_iter()
                 .filter(|names| names.len() > 1)
@@ -195,13 +195,15 @@ impl Photos {
             pairs.sort_unstable();
             let shown = first_names(&pairs.iter().map(String::as_str).collect::<Vec<_>>());
             let count = pairs.len();
-            let photos = if count == 1 { "photo is" } else { "photos are" };
+            let (photos, what) =
+                if count == 1 { ("photo is", what.0) } else { ("photos are", what.1) };
             (count > 0).then(|| {
                 format!("{count} {photos} there twice{what}; the second one adds little: {shown}")
             })
         };
-        let same = pairs(by_content.into_values().collect(), "");
-        let of_one_name = pairs(by_stem.into_values().collect(), " by their names");
+        let same = pairs(by_content.into_values().collect(), ("", ""));
+        let of_one_name =
+            pairs(by_stem.into_values().collect(), (" by its name", " by their names"));
         same.into_iter().chain(of_one_name).collect()
     }
 

@@ -174,8 +174,10 @@ pub struct VideoReader {
 }
 
 /// The video streams of a file. The first one is read.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Streams {
+    /// Duration that the file states, in seconds: of its longest stream.
+    pub duration_s: Option<f64>,
     /// Whether the first one is interlaced, and its frames are deinterlaced.
     pub is_interlaced: bool,
     /// The number of moving ones; a cover picture is none.
@@ -372,7 +374,17 @@ fn parse_streams(text: &str) -> Streams {
             format.contains(&format!("{order} first")) || format.contains(&format!("{order} coded"))
         })
     };
-    Streams { is_interlaced: videos.first().is_some_and(is_interlaced), count: videos.len() }
+    Streams {
+        duration_s: text.lines().find_map(parse_duration_s),
+        is_interlaced: videos.first().is_some_and(is_interlaced),
+        count: videos.len(),
+    }
+}
+
+/// The duration in `  Duration: 00:01:02.50, start: 0.000000, bitrate: 1205 kb/s`.
+fn parse_duration_s(line: &str) -> Option<f64> {
+    let (text, _) = line.trim_start().strip_prefix("Duration: ")?.split_once(',')?;
+    text.split(':').try_fold(0.0, |sum, part| Some(60.0 * sum + part.parse::<f64>().ok()?))
 }
 
 /// The URL of a file for ffmpeg. Without `file:`, `12:30.mp4` would be a protocol and `-x.mp4` an
@@ -599,6 +611,11 @@ mod tests {
         assert_eq!(of(&["yuv420p(top first), 8x8, 25 fps", progressive]), (true, 2));
         assert_eq!(of(&["yuv420p(tv, bt709, bottom coded first (swapped)), 8x8"]), (true, 1));
         assert_eq!(of(&[progressive, "yuvj444p(pc), 640x640, 90k tbr (attached pic)"]), (false, 1));
+        let stated = |duration: &str| {
+            let text = format!("  Duration: {duration}, start: 0.000000, bitrate: 1205 kb/s\n");
+            parse_streams(&text).duration_s
+        };
+        assert_eq!((stated("01:01:02.50"), stated("N/A")), (Some(3662.5), None));
     }
 
     #[test]

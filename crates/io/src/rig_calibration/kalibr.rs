@@ -2,7 +2,8 @@
 //!
 //! `T_cn_cnm1` is cam_n_from_cam_{n−1}. A calibration with an IMU has `T_cam_imu` = cam_from_imu
 //! and `timeshift_cam_imu`: time of the IMU = time of the camera + timeshift. The first camera is
-//! the reference.
+//! the reference. `timeshift_cam0` is the same with the first camera in place of the IMU, which our
+//! export writes.
 
 use std::path::Path;
 
@@ -29,10 +30,12 @@ pub(super) fn rig(path: &Path, text: &str) -> Result<Vec<CameraOnRig>> {
     let mut first: Option<(Option<Rigid3>, f64)> = None;
     for ((name, node), calibration) in nodes.zip(calibrations) {
         let from_imu = pose(path, node, name, "T_cam_imu")?;
-        let shift_s = match node.get("timeshift_cam_imu") {
-            None => 0.0,
-            Some(found) => found.number(path, &format!("timeshift_cam_imu of {name}"))?,
+        let shift_s = |key: &str| match node.get(key) {
+            None => Ok(None),
+            Some(found) => found.number(path, &format!("{key} of {name}")).map(Some),
         };
+        let to_first_s = shift_s("timeshift_cam0")?;
+        let shift_s = shift_s("timeshift_cam_imu")?.unwrap_or(0.0);
         let &mut (first_from_imu, first_shift_s) = first.get_or_insert((from_imu, shift_s));
         let cam_from_rig = match (rig.last(), pose(path, node, name, "T_cn_cnm1")?) {
             (None, _) => Rigid3::identity(),
@@ -45,7 +48,7 @@ pub(super) fn rig(path: &Path, text: &str) -> Result<Vec<CameraOnRig>> {
         rig.push(CameraOnRig {
             photos: PhotosOfCamera::Named { name: name.clone(), topic: calibration.topic.clone() },
             cam_from_rig,
-            time_offset_s: shift_s - first_shift_s,
+            time_offset_s: to_first_s.unwrap_or(shift_s - first_shift_s),
             calibration: Some(calibration),
         });
     }

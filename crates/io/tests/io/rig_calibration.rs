@@ -77,6 +77,17 @@ fn kalibr_chains_poses_and_time_offsets() {
 }
 
 #[test]
+fn kalibr_has_time_offsets_to_the_first_camera_as_our_export_writes_them() {
+    let text = KALIBR
+        .replace("  timeshift_cam_imu: 0.25\n", "")
+        .replace("timeshift_cam_imu: 0.75", "timeshift_cam0: 0.5")
+        + "  timeshift_cam0: -1\n";
+    let rigs = read("camchain.yaml", &text).unwrap();
+    let offsets: Vec<f64> = rigs[0].iter().map(|camera| camera.time_offset_s).collect();
+    assert_eq!(offsets, [0.0, 0.5, -1.0]);
+}
+
+#[test]
 fn kalibr_with_an_imu_has_poses_without_a_chain() {
     let with_imu = |x: f64| {
         format!(

@@ -20,7 +20,7 @@ use tiepoint_input::video::{
 use tiepoint_input::{Error as InputError, Photos};
 use tiepoint_io::timestamps;
 use tiepoint_sfm::scene::{Place, Position, PositionTrack};
-use tiepoint_store::{Error as StoreError, OutputFolder};
+use tiepoint_store::{Error as StoreError, OutputFolder, escaped};
 
 use crate::workspace::format::json;
 use crate::{Error, Event, Stage, Watch, Workspace, emit};
@@ -30,6 +30,9 @@ const RECORD: &str = "videos.json";
 const TIMES: &str = "timestamps.csv";
 /// Digits of the frame number in the name of a frame.
 const FRAME_DIGITS: usize = 6;
+/// A video whose frames end earlier than it states by more, in seconds, is said to lack its end:
+/// the sound of a whole video may last longer than its frames. Not varied.
+const MAX_MISSING_S: f64 = 2.0;
 
 /// Source of the frames in a folder; the last file to be written there.
 #[derive(Debug, Serialize, Deserialize)]
@@ -311,7 +314,9 @@ fn extract(
         };
         for chapter in &recording.chapters {
             let mut reader = VideoReader::open(chapter)?;
+            let mut end_s = 0.0;
             while let Some(frame) = reader.next_frame()? {
+                end_s = frame.time_s;
                 let start_s = *start_s.get_or_insert_with(|| {
                     // Times by one clock only: a recording without a date began with the first one.
                     let own_s = reader.created_s().filter(|_| is_dated && !recording.is_late);
@@ -333,6 +338,7 @@ fn extract(
             }
             reduction = reader.reduction();
             streams = reader.streams();
+            notes.extend(missing_end_note(chapter, end_s, streams.duration_s));
             fixes.extend(fixes_of(chapter, start_s.unwrap_or(0.0) + chapter_offset_s)?);
             // A chapter starts one frame interval after the last frame of the previous one.
             chapter_offset_s = last_s + interval_s - start_s.unwrap_or(0.0);
@@ -389,6 +395,16 @@ fn taken_note(recording: &str, taken: usize, read: usize, every: Option<NonZeroU
         true => format!("{recording}: {taken} of {read} frames taken ({rule}); {more}"),
         false => format!("{recording}: all {read} frames taken"),
     }
+}
+
+/// That a file ends long before the end that it states.
+fn missing_end_note(file: &Path, end_s: f64, stated_s: Option<f64>) -> Option<String> {
+    let stated_s = stated_s.filter(|stated_s| stated_s - end_s > MAX_MISSING_S)?;
+    let file = escaped(file);
+    Some(format!(
+        "{file}: the last frame that can be read is at {end_s:.1} s of {stated_s:.1} s: copy the \
+        file again if the copy was interrupted"
+    ))
 }
 
 /// What is unusual about the files of a recording.

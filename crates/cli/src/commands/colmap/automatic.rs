@@ -11,7 +11,7 @@ use super::options::Options;
 use crate::failure::Failure;
 use crate::output::Output;
 use crate::progress::Progress;
-use crate::summary;
+use crate::summary::{self, PhotoOptions};
 
 /// `tiepoint reconstruct`, whose workspace is a COLMAP project.
 pub(super) fn automatic_reconstructor(options: &Options, output: &Output) -> Result<(), Failure> {
@@ -21,7 +21,8 @@ pub(super) fn automatic_reconstructor(options: &Options, output: &Output) -> Res
     let mut progress = Progress::new(output);
     let report = reconstruct(&[images], &workspace, &all, &mut |event| progress.watch(event))?;
     drop(progress);
-    output.result(&report, || summary::report(&workspace, &report))
+    let photos = PhotoOptions { masks: all.masks.as_deref(), max_size: None };
+    output.result(&report, || summary::report(&workspace, &report, photos))
 }
 
 fn options_of(options: &Options) -> Result<AllOptions, String> {
