@@ -60,7 +60,14 @@ pub fn better_camera_models(
     let with_simpler = |(rank, &kind): (usize, &CameraModelKind)| {
         let is_simpler =
             |id: &CameraId| kinds[..rank].contains(&model.camera(*id).intrinsics.kind());
-        let simpler: Vec<CameraId> = cameras.iter().copied().filter(is_simpler).collect();
+        let mut simpler: Vec<CameraId> = cameras.iter().copied().filter(is_simpler).collect();
+        // The gain of a camera with fewer parameters would decide for one with as many.
+        let has_fewer = |id: &CameraId| {
+            num_distortion(model.camera(*id).intrinsics.kind()) < num_distortion(kind)
+        };
+        if simpler.iter().any(has_fewer) {
+            simpler.retain(has_fewer);
+        }
         (kind, simpler)
     };
     let mut trials: Vec<(CameraModelKind, Vec<CameraId>)> =
@@ -85,6 +92,10 @@ pub fn better_camera_models(
         found.find(|it| it.camera == camera && it.log_bayes_factor > least).cloned()
     };
     Ok(cameras.iter().filter_map(|camera| best(*camera)).collect())
+}
+
+fn num_distortion(kind: CameraModelKind) -> usize {
+    kind.distortion_indices().len()
 }
 
 /// A fit of some cameras with one camera model.
@@ -116,8 +127,7 @@ fn fit(
             continue;
         };
         model.camera_mut(id).intrinsics = nearest;
-        let own = camera.intrinsics.kind().distortion_indices().len();
-        num_more += distortion.len().saturating_sub(own);
+        num_more += distortion.len().saturating_sub(num_distortion(camera.intrinsics.kind()));
         let effect_px = RELATIVE_EFFECT * f64::from(width.max(height));
         expected[id.index()] = Some(IntrinsicsPrior::new(nearest, width, height, effect_px));
     }

@@ -71,7 +71,13 @@ pub(crate) fn fit_poses(model: &mut Reconstruction, options: &AdjustOptions) -> 
         ..AdjustOptions::default()
     };
     adjust(model, &Scope::Global, &fit, &mut [], &mut keep_going)?;
+    let num_fitted =
+        |model: &Reconstruction| model.tracks().filter(|(_, track)| !track.is_held_out).count();
+    let before = num_fitted(model);
     *model = without_points_at_infinity(model);
+    if num_fitted(model) < before {
+        adjust(model, &Scope::Global, &fit, &mut [], &mut keep_going)?;
+    }
     Ok(())
 }
 

@@ -88,7 +88,7 @@ fn next_commands(
     let splats = shell_word(Path::new(&splats));
     let to_look = match has_older_page(root) {
         false => "writes report.html, to look at it in a browser",
-        true => "writes report.html again, which shows an earlier result",
+        true => "writes report.html again, which is older than the result",
     };
     let mut commands = vec![
         (format!("tiepoint view {workspace}"), to_look),

@@ -25,7 +25,7 @@ pub(super) fn camera_table(
     let head = ["camera model", "size, px", "images", "focal length, px"].map(str::to_owned);
     let caption = match registered.len().saturating_sub(MAX_CAMERAS) {
         0 => "Cameras".to_owned(),
-        more => format!("Cameras: the first {MAX_CAMERAS}, {more} more are in report.json"),
+        more => format!("Cameras: the first {MAX_CAMERAS} of {}", MAX_CAMERAS + more),
     };
     (!rows.is_empty()).then(|| Table { caption, ..Table::of_columns(&head, rows) })
 }
@@ -80,7 +80,7 @@ mod tests {
         let first = ["PINHOLE", "640 × 480", "1", "500.00 ± 0.50, 501.00"].map(str::to_owned);
         assert_eq!(table.rows[0], ("c0".to_owned(), first.to_vec()));
         assert_eq!(table.rows.len(), MAX_CAMERAS);
-        assert!(table.caption.ends_with("1 more are in report.json"), "{}", table.caption);
+        assert!(table.caption.ends_with("the first 20 of 21"), "{}", table.caption);
         assert_eq!(camera_table(&Reconstruction::default(), None, |_| String::new()), None);
     }
 }

@@ -30,8 +30,8 @@ const RECORD: &str = "videos.json";
 const TIMES: &str = "timestamps.csv";
 /// Digits of the frame number in the name of a frame.
 const FRAME_DIGITS: usize = 6;
-/// A video whose frames end earlier than it states by more, in seconds, is said to lack its end:
-/// the sound of a whole video may last longer than its frames. Not varied.
+/// A video whose frames end earlier than it states by more, in seconds, may lack its end. The sound
+/// of a whole video may last longer than its frames. Not varied.
 const MAX_MISSING_S: f64 = 2.0;
 
 /// Source of the frames in a folder; the last file to be written there.
@@ -314,9 +314,11 @@ fn extract(
         };
         for chapter in &recording.chapters {
             let mut reader = VideoReader::open(chapter)?;
-            let mut end_s = 0.0;
+            let (mut shown_s, mut end_s) = (0.0, 0.0);
             while let Some(frame) = reader.next_frame()? {
-                end_s = frame.time_s;
+                // The last frame is shown as long as the one before it.
+                let frame_s = frame.time_s - shown_s;
+                (shown_s, end_s) = (frame.time_s, frame.time_s + frame_s);
                 let start_s = *start_s.get_or_insert_with(|| {
                     // Times by one clock only: a recording without a date began with the first one.
                     let own_s = reader.created_s().filter(|_| is_dated && !recording.is_late);
@@ -402,8 +404,8 @@ fn missing_end_note(file: &Path, end_s: f64, stated_s: Option<f64>) -> Option<St
     let stated_s = stated_s.filter(|stated_s| stated_s - end_s > MAX_MISSING_S)?;
     let file = escaped(file);
     Some(format!(
-        "{file}: the last frame that can be read is at {end_s:.1} s of {stated_s:.1} s: copy the \
-        file again if the copy was interrupted"
+        "{file}: the frames that can be read end at {end_s:.1} s of {stated_s:.1} s, so that the \
+        file may lack its end"
     ))
 }
 

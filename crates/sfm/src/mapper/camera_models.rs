@@ -32,8 +32,8 @@ pub(super) const GROWTH: f64 = 2.0;
 /// The same where no further image can be registered: four fifths of a small model's images take
 /// part in its last selection. Not varied.
 pub(super) const GROWTH_AT_END: f64 = 1.25;
-/// No selection follows one that had so many images: a fit costs as much as a global adjustment.
-/// Not varied.
+/// No selection follows one that had so many images, and none is made of twice as many, as a joined
+/// model may have: a fit costs as much as a global adjustment. Not varied.
 const MAX_IMAGES: usize = 160;
 /// Logarithm of the Bayes factor for another lens where no camera turns. There, focal length and
 /// depths follow each freedom of a lens. Of 16 rendered drives with pinholes (docs/benchmarks/
@@ -57,7 +57,8 @@ impl Refiner<'_> {
         let (before, now) =
             (self.solution.images_at_lens_test, self.solution.model.num_registered());
         let has_grown = now as f64 >= growth * before as f64;
-        let is_due = now >= MIN_IMAGES && has_grown && before < MAX_IMAGES;
+        let is_small = before < MAX_IMAGES && now < 2 * MAX_IMAGES;
+        let is_due = now >= MIN_IMAGES && has_grown && is_small;
         if !options.select_camera_models || !options.refine.distortion || !is_due {
             return Ok(());
         }

@@ -209,10 +209,13 @@ impl<'a> Refiner<'a> {
     }
 
     /// What is not known of the intrinsics of cameras without a calibration: what an adjustment
-    /// refines, and the principal points that it holds because no camera turns.
+    /// refines, and the principal points that it holds because no camera turns. Few images tell
+    /// nothing of either.
     pub(super) fn unknown_intrinsics(&self, schedule: &RefinementSchedule) -> RefineIntrinsics {
         let refine = self.adjust_options(schedule).refine;
-        RefineIntrinsics { principal_point: self.input.options.refine.principal_point, ..refine }
+        let is_small = self.solution.model.num_registered() < MIN_IMAGES_FOR_DISTORTION;
+        let principal_point = self.input.options.refine.principal_point && !is_small;
+        RefineIntrinsics { principal_point, ..refine }
     }
 
     /// Images whose poses are constant, and which always stay registered.

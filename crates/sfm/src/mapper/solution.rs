@@ -29,8 +29,7 @@ pub(super) struct Solution {
     pub(super) field_sds: BTreeMap<CameraId, Vec<f64>>,
     /// Places that look like this one, and are others.
     pub(super) other_places: Vec<OtherPlace>,
-    /// Number of images at the last selection of camera models, or at the beginning: the parts of a
-    /// joined model had theirs.
+    /// Number of images at the last selection of camera models.
     pub(super) images_at_lens_test: usize,
 }
 
@@ -50,7 +49,6 @@ pub(super) enum Phase {
 impl Solution {
     pub(super) fn new(model: Reconstruction) -> Self {
         Self {
-            images_at_lens_test: model.num_registered(),
             model,
             phase: Phase::Growing,
             initial_pair: None,
@@ -63,6 +61,7 @@ impl Solution {
             intrinsics_sds: None,
             field_sds: BTreeMap::new(),
             other_places: Vec::new(),
+            images_at_lens_test: 0,
         }
     }
 }

@@ -246,8 +246,8 @@ impl Context<'_> {
     }
 
     /// The covariance of each camera's extrinsics and clock. Intrinsics that are held though nobody
-    /// knows them count with their priors: an error of a principal point becomes one of the
-    /// rotation.
+    /// knows them are free, with their priors: an error of a principal point becomes one of the
+    /// rotation. The cost has a slope there, which makes the deviations larger.
     fn covariances(
         &mut self,
         model: &Reconstruction,
