@@ -94,8 +94,15 @@ pub fn better_camera_models(
     Ok(cameras.iter().filter_map(|camera| best(*camera)).collect())
 }
 
+/// The distortion parameters without those of a prism, which are zero.
+fn distortion_of(kind: CameraModelKind) -> Vec<usize> {
+    let mut indices = kind.distortion_indices();
+    indices.retain(|index| !kind.rotation_degenerate_indices().contains(index));
+    indices
+}
+
 fn num_distortion(kind: CameraModelKind) -> usize {
-    kind.distortion_indices().len()
+    distortion_of(kind).len()
 }
 
 /// A fit of some cameras with one camera model.
@@ -118,7 +125,7 @@ fn fit(
 ) -> Result<Option<Fit>, Error> {
     let mut model = model.clone();
     let mut expected: Vec<Option<IntrinsicsPrior>> = vec![None; model.cameras().count()];
-    let distortion = kind.distortion_indices();
+    let distortion = distortion_of(kind);
     let mut num_more = 0;
     for &id in cameras {
         let camera = *model.camera(id);

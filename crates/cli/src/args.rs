@@ -441,7 +441,7 @@ pub(crate) struct Cameras {
     pub(crate) focal_prior: Option<PositivePixels>,
     /// COLMAP's name of the camera model [default: the images decide].
     ///
-    /// By default SIMPLE_RADIAL, in place of which mapping takes RADIAL, OPENCV or OPENCV_FISHEYE
+    /// By default SIMPLE_RADIAL, in place of which mapping takes RADIAL, OPENCV or a fisheye
     /// where the images give very strong evidence. THIN_PRISM_FISHEYE suits action cameras,
     /// EQUIRECTANGULAR panoramas. In models with two focal lengths fx and fy stay equal. A wrong
     /// name lists all.

@@ -10,7 +10,8 @@ const STEPS: usize = 5;
 
 /// The intrinsics of another camera model with the same focal length and principal point that
 /// project the rays of a `width` × `height` image closest to their pixels, in the least-squares
-/// sense. `None` if hardly any pixel has a ray.
+/// sense. Prism parameters, which act like a rotation, are zero. `None` if hardly any pixel has a
+/// ray.
 pub fn nearest_intrinsics(
     from: &Intrinsics,
     kind: CameraModelKind,
@@ -25,7 +26,8 @@ pub fn nearest_intrinsics(
     for (&index, value) in kind.principal_point_indices().iter().zip(&from.principal_point()) {
         found.params_mut()[index] = *value;
     }
-    let free = kind.distortion_indices();
+    let mut free = kind.distortion_indices();
+    free.retain(|index| !kind.rotation_degenerate_indices().contains(index));
     let at = |index: usize, size: u32| (index as f64 + 0.5) / GRID as f64 * f64::from(size);
     let pixels = (0..GRID * GRID).map(|i| Vector2::new(at(i % GRID, width), at(i / GRID, height)));
     let rays: Vec<_> = pixels.filter_map(|pixel| Some((pixel, from.unproject(&pixel)?))).collect();

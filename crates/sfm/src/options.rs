@@ -57,7 +57,7 @@ pub struct MapperOptions {
     /// Otherwise they are refined.
     pub keep_calibrations: bool,
     /// Whether cameras with unknown intrinsics get the camera model that their images ask for:
-    /// SIMPLE_RADIAL and RADIAL become RADIAL, OPENCV or OPENCV_FISHEYE where the evidence is very
+    /// SIMPLE_RADIAL and RADIAL become RADIAL, OPENCV or a fisheye where the evidence is very
     /// strong ([`crate::adjust::better_camera_models`]).
     pub select_camera_models: bool,
     /// Options of track creation.

@@ -16,13 +16,17 @@ use crate::Error;
 use crate::event::Watch;
 
 /// The camera models. Each describes the lenses of those before it, OPENCV_FISHEYE nearly and
-/// without decentring.
-const MODELS: [CameraModelKind; 4] = [
+/// without decentring. THIN_PRISM_FISHEYE is a fisheye with decentring: its prism is zero.
+const MODELS: [CameraModelKind; 5] = [
     CameraModelKind::SimpleRadial,
     CameraModelKind::Radial,
     CameraModelKind::Opencv,
     CameraModelKind::OpencvFisheye,
+    CameraModelKind::ThinPrismFisheye,
 ];
+/// The camera models with decentring, which looks like a principal point that is off.
+const DECENTRED: [CameraModelKind; 2] =
+    [CameraModelKind::Opencv, CameraModelKind::ThinPrismFisheye];
 /// The first selection has so many images. Not varied.
 const MIN_IMAGES: usize = 10;
 /// Each later one has so many times the images of the one before it, while images are registered.
@@ -96,8 +100,7 @@ impl Refiner<'_> {
         options.gauge = Gauge::FirstAndFarthest;
         // It is refined where a camera turns, unless the user holds it.
         let is_centre_refined = options.refine.principal_point;
-        let is_determined =
-            |kind: &CameraModelKind| is_centre_refined || *kind != CameraModelKind::Opencv;
+        let is_determined = |kind: &CameraModelKind| is_centre_refined || !DECENTRED.contains(kind);
         let kinds: Vec<CameraModelKind> = MODELS.into_iter().filter(is_determined).collect();
         let least = if is_centre_refined { VERY_STRONG } else { VERY_STRONG_WITHOUT_TURNS };
         // A fit that fails tells nothing.
