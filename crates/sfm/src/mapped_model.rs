@@ -26,8 +26,9 @@ pub struct MappedModel {
     pub calibration_evidence: BTreeMap<CameraId, f64>,
     /// Standard deviations of the parameters of each registered camera, in their order and units; 0
     /// for constant ones, unless a fit with a lens field tells of them. A principal point that was
-    /// held because no camera turns has that of a free one with its prior. They hold where errors are correlated along tracks and in a part of the image. Empty if none
-    /// was refined or the images do not determine them.
+    /// held because no camera turns has that of a free one with its prior. They hold where errors
+    /// are correlated along tracks and in a part of the image. Empty if none was refined or the
+    /// images do not determine them.
     pub intrinsics_sds: BTreeMap<CameraId, Vec<f64>>,
     /// Rolling shutters of the cameras, given or estimated.
     pub shutters: Vec<RollingShutter>,

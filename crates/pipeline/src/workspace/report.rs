@@ -212,8 +212,8 @@ pub struct CameraReport {
     pub height: u32,
     /// Parameters of the camera model, in COLMAP's order.
     pub params: Vec<f64>,
-    /// Standard deviations of the parameters; 0 for constant ones. A principal point that was
-    /// held because no camera turns has that of a free one with its prior. Empty if none was refined or
+    /// Standard deviations of the parameters; 0 for constant ones. A principal point that was held
+    /// because no camera turns has that of a free one with its prior. Empty if none was refined or
     /// the images do not determine them.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub params_sd: Vec<f64>,
