@@ -42,10 +42,10 @@ pub struct BetterCameraModel {
 
 /// Fits other camera models to some cameras, and returns those whose logarithm of the Bayes factor
 /// is above `least`, at most one for each camera: of the fit with the best Bayesian information
-/// criterion. The criterion is one of all cameras, and about twice such a logarithm: it must be
-/// above `least`, too. Each of `kinds` describes the lenses of those before it, at least nearly: a
-/// camera is fitted with those behind its own. Poses, points and the intrinsics of other cameras
-/// are free as the options say; rigs and terms take no part.
+/// criterion. The criterion is one of all cameras; it must decrease by more than twice `least`.
+/// Each of `kinds` describes the lenses of those before it, at least nearly: a camera is fitted
+/// with those behind its own. Poses, points and the intrinsics of other cameras are free as the
+/// options say; rigs and terms take no part.
 ///
 /// # Errors
 ///
@@ -94,15 +94,8 @@ pub fn better_camera_models(
     Ok(cameras.iter().filter_map(|camera| best(*camera)).collect())
 }
 
-/// The distortion parameters without those of a prism, which are zero.
-fn distortion_of(kind: CameraModelKind) -> Vec<usize> {
-    let mut indices = kind.distortion_indices();
-    indices.retain(|index| !kind.rotation_degenerate_indices().contains(index));
-    indices
-}
-
 fn num_distortion(kind: CameraModelKind) -> usize {
-    distortion_of(kind).len()
+    kind.distortion_indices().len()
 }
 
 /// A fit of some cameras with one camera model.
@@ -125,7 +118,7 @@ fn fit(
 ) -> Result<Option<Fit>, Error> {
     let mut model = model.clone();
     let mut expected: Vec<Option<IntrinsicsPrior>> = vec![None; model.cameras().count()];
-    let distortion = distortion_of(kind);
+    let distortion = kind.distortion_indices();
     let mut num_more = 0;
     for &id in cameras {
         let camera = *model.camera(id);

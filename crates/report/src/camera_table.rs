@@ -23,9 +23,9 @@ pub(super) fn camera_table(
     });
     let rows: Vec<TableRow> = rows.collect();
     let head = ["camera model", "size, px", "images", "focal length, px"].map(str::to_owned);
-    let caption = match registered.len().saturating_sub(MAX_CAMERAS) {
-        0 => "Cameras".to_owned(),
-        more => format!("Cameras: the first {MAX_CAMERAS} of {}", MAX_CAMERAS + more),
+    let caption = match registered.len() {
+        0..=MAX_CAMERAS => "Cameras".to_owned(),
+        count => format!("Cameras: the first {MAX_CAMERAS} of {count}"),
     };
     (!rows.is_empty()).then(|| Table { caption, ..Table::of_columns(&head, rows) })
 }

@@ -26,8 +26,7 @@ pub fn nearest_intrinsics(
     for (&index, value) in kind.principal_point_indices().iter().zip(&from.principal_point()) {
         found.params_mut()[index] = *value;
     }
-    let mut free = kind.distortion_indices();
-    free.retain(|index| !kind.rotation_degenerate_indices().contains(index));
+    let free = kind.distortion_indices();
     let at = |index: usize, size: u32| (index as f64 + 0.5) / GRID as f64 * f64::from(size);
     let pixels = (0..GRID * GRID).map(|i| Vector2::new(at(i % GRID, width), at(i / GRID, height)));
     let rays: Vec<_> = pixels.filter_map(|pixel| Some((pixel, from.unproject(&pixel)?))).collect();

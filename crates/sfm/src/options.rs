@@ -57,8 +57,8 @@ pub struct MapperOptions {
     /// Otherwise they are refined.
     pub keep_calibrations: bool,
     /// Whether cameras with unknown intrinsics get the camera model that their images ask for:
-    /// SIMPLE_RADIAL and RADIAL become RADIAL, OPENCV or a fisheye where the evidence is very
-    /// strong ([`crate::adjust::better_camera_models`]).
+    /// one of SIMPLE_RADIAL, RADIAL, OPENCV, OPENCV_FISHEYE and THIN_PRISM_FISHEYE becomes a later
+    /// one where the evidence is very strong ([`crate::adjust::better_camera_models`]).
     pub select_camera_models: bool,
     /// Options of track creation.
     pub tracks: TrackOptions,

@@ -524,6 +524,12 @@ fn invalid_videos_are_errors() {
         .failed(1, &["none.mp4", "No such file"]);
 }
 
+/// What the report notes on a video of which all frames are taken.
+fn notes_on(dir: &Path, video: &str) -> String {
+    let line = format!("features {{}}/{video} -o {{}}/{video}.ws --every 1 --json");
+    tiepoint_in(dir, &line).done().json()["stages"]["features"]["notes"].to_string()
+}
+
 #[test]
 fn the_missing_end_of_a_video_is_named() {
     if !has_ffmpeg() {
@@ -537,10 +543,7 @@ fn the_missing_end_of_a_video_is_named() {
     assert!(converted(dir, "front.mov", &slow, "whole.mov"));
     let bytes = fs::read(dir.join("whole.mov")).unwrap();
     fs::write(dir.join("cut.mov"), &bytes[..bytes.len() / 2]).unwrap();
-    let notes = |name: &str| {
-        let line = format!("features {{}}/{name} -o {{}}/{name}.ws --every 1 --json");
-        tiepoint_in(dir, &line).done().json()["stages"]["features"]["notes"].to_string()
-    };
+    let notes = |name: &str| notes_on(dir, name);
     let whole = notes("whole.mov");
     assert!(!whole.contains("may lack its end"), "{whole}");
     let cut = notes("cut.mov");
@@ -580,10 +583,7 @@ fn interlaced_video_is_deinterlaced_and_a_second_stream_is_named() {
     assert!(converted(dir, "front.mov", &fields, "fields.mpg.mkv"));
     let two = ["-map", "0:v:0", "-map", "0:v:0", "-c", "copy"];
     assert!(converted(dir, "front.mov", &two, "two.mov"));
-    let notes = |name: &str| {
-        let line = format!("features {{}}/{name} -o {{}}/{name}.ws --every 1 --json");
-        tiepoint_in(dir, &line).done().json()["stages"]["features"]["notes"].to_string()
-    };
+    let notes = |name: &str| notes_on(dir, name);
     assert!(notes("fields.mpg.mkv").contains("interlaced video was deinterlaced"));
     assert!(notes("two.mov").contains("the first of 2 video streams is read"));
     let plain = notes("front.mov");

@@ -234,10 +234,15 @@ impl CameraModelKind {
         self.param_names().len()
     }
 
-    /// Indices of the distortion parameters.
+    /// Indices of the distortion parameters, without those that act like a rotation
+    /// ([`CameraModelKind::rotation_degenerate_indices`]).
     pub fn distortion_indices(self) -> Vec<usize> {
-        let others =
-            [self.focal_indices(), self.principal_point_indices(), self.metadata_indices()];
+        let others = [
+            self.focal_indices(),
+            self.principal_point_indices(),
+            self.metadata_indices(),
+            self.rotation_degenerate_indices(),
+        ];
         let is_other = |index: &usize| others.iter().any(|indices| indices.contains(index));
         (0..self.num_params()).filter(|index| !is_other(index)).collect()
     }

@@ -314,11 +314,7 @@ fn extract(
         };
         for chapter in &recording.chapters {
             let mut reader = VideoReader::open(chapter)?;
-            let (mut shown_s, mut end_s) = (0.0, 0.0);
             while let Some(frame) = reader.next_frame()? {
-                // The last frame is shown as long as the one before it.
-                let frame_s = frame.time_s - shown_s;
-                (shown_s, end_s) = (frame.time_s, frame.time_s + frame_s);
                 let start_s = *start_s.get_or_insert_with(|| {
                     // Times by one clock only: a recording without a date began with the first one.
                     let own_s = reader.created_s().filter(|_| is_dated && !recording.is_late);
@@ -340,10 +336,12 @@ fn extract(
             }
             reduction = reader.reduction();
             streams = reader.streams();
-            notes.extend(missing_end_note(chapter, end_s, streams.duration_s));
             fixes.extend(fixes_of(chapter, start_s.unwrap_or(0.0) + chapter_offset_s)?);
             // A chapter starts one frame interval after the last frame of the previous one.
-            chapter_offset_s = last_s + interval_s - start_s.unwrap_or(0.0);
+            let next_offset_s = last_s + interval_s - start_s.unwrap_or(0.0);
+            let read_s = next_offset_s - chapter_offset_s;
+            notes.extend(missing_end_note(chapter, read_s, streams.duration_s));
+            chapter_offset_s = next_offset_s;
         }
         if let Some(chosen) = selector.end() {
             keep(chosen, watch, read)?;
@@ -399,12 +397,12 @@ fn taken_note(recording: &str, taken: usize, read: usize, every: Option<NonZeroU
     }
 }
 
-/// That a file ends long before the end that it states.
-fn missing_end_note(file: &Path, end_s: f64, stated_s: Option<f64>) -> Option<String> {
-    let stated_s = stated_s.filter(|stated_s| stated_s - end_s > MAX_MISSING_S)?;
+/// That the frames of a file end long before the duration that it states.
+fn missing_end_note(file: &Path, read_s: f64, stated_s: Option<f64>) -> Option<String> {
+    let stated_s = stated_s.filter(|stated_s| stated_s - read_s > MAX_MISSING_S)?;
     let file = escaped(file);
     Some(format!(
-        "{file}: the frames that can be read end at {end_s:.1} s of {stated_s:.1} s, so that the \
+        "{file}: the frames that can be read end at {read_s:.1} s of {stated_s:.1} s, so that the \
         file may lack its end"
     ))
 }

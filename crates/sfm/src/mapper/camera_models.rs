@@ -30,8 +30,9 @@ const DECENTRED: [CameraModelKind; 2] =
 /// The first selection has so many images. Not varied.
 const MIN_IMAGES: usize = 10;
 /// Each later one has so many times the images of the one before it, while images are registered.
-/// With 1.5, of eight rendered drives with an action lens one has an ATE of 0.034 m in place of
-/// 0.013, and another one with `--rig auto` 0.336 in place of 0.019.
+/// With 1.5, of the eight drives with an action lens in docs/benchmarks/drives.md one has an ATE of
+/// 0.034 m in place of 0.013, and another one with `--rig auto` 0.336 in place of 0.019: they are
+/// no test of it.
 pub(super) const GROWTH: f64 = 2.0;
 /// The same where no further image can be registered: four fifths of a small model's images take
 /// part in its last selection. Not varied.

@@ -33,10 +33,6 @@ pub(crate) fn street(
 /// (docs/benchmarks/drives.md).
 const MAX_FOCAL_ERROR: f64 = 0.05;
 
-/// The lens has a decentring, which the images may tell.
-const FISHEYES: [CameraModelKind; 2] =
-    [CameraModelKind::OpencvFisheye, CameraModelKind::ThinPrismFisheye];
-
 #[test]
 fn an_action_lens_is_no_simple_one() {
     let (blank, graph, scene) = street(FRAMES, true, 0.0);
@@ -50,7 +46,7 @@ fn an_action_lens_is_no_simple_one() {
                 assert_eq!(kind, CameraModelKind::SimpleRadial);
                 continue;
             }
-            assert!(FISHEYES.contains(&kind), "{kind:?}");
+            assert_eq!(kind, CameraModelKind::OpencvFisheye);
             let true_focal_px = scene.truth().camera(id).intrinsics.mean_focal_px();
             let error = camera.intrinsics.mean_focal_px() / true_focal_px - 1.0;
             assert!(error.abs() < MAX_FOCAL_ERROR, "{error}");
