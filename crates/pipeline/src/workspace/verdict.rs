@@ -17,7 +17,8 @@ pub fn verdict(report: &Report) -> Vec<String> {
         vec![format!("{poses}, mean reprojection error {mean_reprojection_error_px:.2} px")];
     let features = report.stages.features.as_ref();
     sentences.extend(features.and_then(of_skipped));
-    sentences.extend(model.rig.as_ref().map(of_rig));
+    let drifts = report.warnings.iter().any(|warning| warning.is_of_rig(path));
+    sentences.extend(model.rig.as_ref().map(|rig| of_rig(rig, drifts)));
     sentences.push(match report.warnings.len() {
         0 => "no warnings".to_owned(),
         1 => "1 warning: look at it before you use the result".to_owned(),
@@ -35,8 +36,9 @@ fn of_skipped(features: &FeaturesReport) -> Option<String> {
     })
 }
 
-/// Whether the rig constrains the model, and what that contributes.
-fn of_rig(rig: &RigReport) -> String {
+/// Whether the rig constrains the model, and what that contributes. `drifts`: whether its baseline
+/// is not constant for all that.
+fn of_rig(rig: &RigReport, drifts: bool) -> String {
     let Some(extrinsics) = &rig.extrinsics else {
         return match rig.mode.as_str() {
             "paper" => {
@@ -62,9 +64,13 @@ fn of_rig(rig: &RigReport) -> String {
         [] => String::new(),
         free => format!("; {} permits no constraint", free.join(", ")),
     };
+    let scale = match drifts {
+        true => "but their relative poses are not constant",
+        false => "so that the scale cannot drift between them",
+    };
     format!(
-        "the rig ({kind}) ties {frames} of {all} pairs of images, so that the scale cannot drift \
-        between them; held-out tracks {px:.3} px, without it {off_px:.3} px{change}{free}"
+        "the rig ({kind}) ties {frames} of {all} pairs of images, {scale}; held-out tracks \
+        {px:.3} px, without it {off_px:.3} px{change}{free}"
     )
 }
 
@@ -120,6 +126,15 @@ mod tests {
         };
         let used = of("auto", Some(same));
         assert!(used.ends_with("(+0.0 ± 0.0 %)"), "{used}");
+        let rigged = |warned: &str| {
+            let rig = RigReport { extrinsics: Some(extrinsics.clone()), ..rig.clone() };
+            let models = vec![ModelReport { rig: Some(rig), ..model.clone() }];
+            let cameras = ["left", "right"].map(str::to_owned);
+            let warning = Warning::RigDrift { model: warned.to_owned(), cameras, change: 0.9 };
+            verdict(&Report { models, warnings: vec![warning], ..Report::default() })[1].clone()
+        };
+        assert!(rigged("sparse/1").contains("cannot drift"), "{}", rigged("sparse/1"));
+        assert!(rigged("sparse/0").contains("are not constant"), "{}", rigged("sparse/0"));
         let unused = of("auto", Some(ExtrinsicsReport { chosen: None, ..extrinsics }));
         assert_eq!(unused, "no rig constraint: why");
         assert!(

@@ -107,6 +107,15 @@ pub enum Warning {
         /// Root mean square distance from the mean, relative to the baseline.
         relative: f64,
     },
+    /// The baseline of a rig changes from the first half of a drive to the second.
+    RigDrift {
+        /// Folder of the model.
+        model: String,
+        /// Folders of the cameras.
+        cameras: [String; 2],
+        /// Mean baseline of the second half over that of the first.
+        change: f64,
+    },
     /// Images are far from where those before and after place them.
     Jumps {
         /// Folder of the model.
@@ -187,5 +196,13 @@ impl Warning {
     /// Whether the warning is on matches, which are known before a model is.
     pub(crate) fn is_of_matches(&self) -> bool {
         matches!(self, Self::StationaryMatches { .. })
+    }
+
+    /// Whether the relative poses of a rig in the model of a folder are not constant.
+    pub(crate) fn is_of_rig(&self, folder: &str) -> bool {
+        match self {
+            Self::RigScatter { model, .. } | Self::RigDrift { model, .. } => model == folder,
+            _ => false,
+        }
     }
 }

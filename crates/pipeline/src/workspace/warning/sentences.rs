@@ -53,13 +53,12 @@ impl fmt::Display for Warning {
                 `features.cameras` image",
                 listed(&images.iter().map(scaled).collect::<Vec<_>>())
             ),
-            Self::RigScatter { model, cameras: [one, other], relative } => write!(
-                f,
-                "the relative poses of {one} and {other} in {model} scatter by {:.0} % of the \
-                baseline: they are not on one rig, their times are wrong, frames were dropped so \
-                that numbers do not agree, or the model is wrong",
-                100.0 * relative
-            ),
+            Self::RigScatter { model, cameras, relative } => {
+                f.write_str(&rig_scatter(model, cameras, *relative))
+            }
+            Self::RigDrift { model, cameras, change } => {
+                f.write_str(&rig_drift(model, cameras, *change))
+            }
             Self::Jumps { model, images } => write!(
                 f,
                 "poses in {model} jump by more than the usual step between images: {}: these are \
@@ -90,6 +89,26 @@ impl fmt::Display for Warning {
             ),
         }
     }
+}
+
+fn rig_scatter(model: &str, [one, other]: &[String; 2], relative: f64) -> String {
+    format!(
+        "the relative poses of {one} and {other} in {model} scatter by {:.0} % of the baseline: \
+        they are not on one rig, their times are wrong, frames were dropped so that numbers do not \
+        agree, or the model is wrong",
+        100.0 * relative
+    )
+}
+
+fn rig_drift(model: &str, [one, other]: &[String; 2], change: f64) -> String {
+    let direction = if change < 1.0 { "closer to" } else { "farther from" };
+    format!(
+        "in {model} {one} and {other} are {:.0} % {direction} each other in the second half of the \
+        drive than in the first, which cameras on one rig are not: the scale drifts, as it does \
+        where a camera model does not describe the lens: try another `features.camera_model`, or \
+        give `features.intrinsics`",
+        100.0 * (change - 1.0).abs(),
+    )
 }
 
 /// A camera model that may fit better, and those to try if it does not.
