@@ -9,6 +9,8 @@ use tiepoint_scene::{CameraId, CorrespondenceGraph, ImagePair, Reconstruction};
 
 use super::growth::Growth;
 use super::input::Input;
+use super::refinement_schedule::RefinementSchedule;
+use super::refiner::Refiner;
 use super::start::support;
 use crate::options::MapperOptions;
 use crate::two_view::with_focal;
@@ -19,12 +21,31 @@ const FOCAL_HYPOTHESES: [f64; 8] = [0.25, 0.35, 0.5, 0.65, 0.85, 1.2, 1.6, 2.2];
 const MAX_TRIAL_IMAGES: usize = 14;
 /// Number of trial models of a hypothesis: of two cameras there are three kinds of pairs.
 const MAX_TRIAL_MODELS: usize = 3;
-/// Minimum ratio of a hypothesis' support to that of the initial guess.
+/// Minimum ratio of a hypothesis' support to that of the initial guess, and of the relative support
+/// of a refined hypothesis to that of the chosen one. Of 12 rendered straight drives
+/// (docs/benchmarks/drives.md) the latter is at most 1.02, so that half of the gain changes nothing
+/// on them; of a street at 2.5 Hz whose focal length ended far off it is 1.11, and double would
+/// miss that.
 const MIN_TRIAL_GAIN: f64 = 1.05;
+
+/// What a trial tells of a focal length.
+struct Trial {
+    /// The scene with the focal length.
+    scene: Reconstruction,
+    /// The support of the model with this focal length.
+    support: f64,
+    /// The model's number of images times its relative support after its intrinsics were refined,
+    /// and the mean focal length relative to the larger side. `None` if that fails.
+    refined: Option<(f64, f64)>,
+}
 
 /// Maps a small model with each trial focal length and keeps the one with the largest support. Used
 /// where image pairs do not determine the focal length, as on a straight drive. All such cameras
 /// get the same focal length relative to their image size.
+///
+/// The support of a model tells how much its images see, too. So the intrinsics of each model are
+/// refined, and where one explains its observations much better than the chosen one, its refined
+/// focal length is taken: from a wrong one, a model of few images does not reach it.
 pub(super) fn choose_focal_lengths(
     graph: &CorrespondenceGraph,
     scene: &mut Reconstruction,
@@ -39,44 +60,88 @@ pub(super) fn choose_focal_lengths(
     if unknown.is_empty() {
         return;
     }
-    let options = &MapperOptions { refine: RefineIntrinsics::NONE, ..*options };
-    let support = |scene: &Reconstruction| trial_support(Input::of_trial(graph, scene, options));
-    let with = |scene: &Reconstruction, relative: f64| {
-        let mut changed = scene.clone();
-        for &id in &unknown {
-            let camera = changed.camera_mut(id);
-            let focal_px = relative * f64::from(camera.width.max(camera.height));
-            camera.intrinsics = with_focal(&camera.intrinsics, focal_px);
-        }
-        changed
+    let held = &MapperOptions { refine: RefineIntrinsics::NONE, ..*options };
+    let trial = |scene: Reconstruction| {
+        let (support, model) = trial_model(Input::of_trial(graph, &scene, held));
+        let refined = model.and_then(|model| refined(graph, &scene, options, model, &unknown));
+        Trial { scene, support, refined }
     };
-    let guess = support(scene);
-    let mut best = (MIN_TRIAL_GAIN * guess, scene.clone());
+    let guess = trial(scene.clone());
+    let mut best = MIN_TRIAL_GAIN * guess.support;
+    let (mut chosen, mut trials) = (0, vec![guess]);
     for relative in FOCAL_HYPOTHESES {
-        let candidate = with(scene, relative);
+        let candidate = with_relative_focal(scene, &unknown, relative);
         if unknown.iter().all(|&id| candidate.camera(id) == scene.camera(id)) {
             continue; // The guess, which has been tried.
         }
-        let score = support(&candidate);
-        if score > best.0 {
-            best = (score, candidate);
+        let trial = trial(candidate);
+        if trial.support > best {
+            (best, chosen) = (trial.support, trials.len());
         }
+        trials.push(trial);
     }
-    *scene = best.1;
+    *scene = trials[chosen].scene.clone();
+    let better = trials.iter().filter_map(|trial| trial.refined).max_by(|a, b| a.0.total_cmp(&b.0));
+    if let (Some(better), Some(of_chosen)) = (better, trials[chosen].refined)
+        && better.0 > MIN_TRIAL_GAIN * of_chosen.0
+    {
+        *scene = with_relative_focal(scene, &unknown, better.1);
+    }
 }
 
-/// The largest support of trial models. A model that ends early tells of its initial pair, not of
-/// the focal length: then another one begins with a pair of other cameras. On a highway the best
-/// pairs are of two cameras side by side at one moment, and no third image has enough of their few
-/// near points.
-fn trial_support(input: Input) -> f64 {
+/// The scene with one focal length, relative to the larger side of the image, for some cameras.
+fn with_relative_focal(
+    scene: &Reconstruction,
+    cameras: &[CameraId],
+    relative: f64,
+) -> Reconstruction {
+    let mut changed = scene.clone();
+    for &id in cameras {
+        let camera = changed.camera_mut(id);
+        let focal_px = relative * f64::from(camera.width.max(camera.height));
+        camera.intrinsics = with_focal(&camera.intrinsics, focal_px);
+    }
+    changed
+}
+
+/// Refines a trial model with its intrinsics ([`Trial::refined`]).
+fn refined(
+    graph: &CorrespondenceGraph,
+    scene: &Reconstruction,
+    options: &MapperOptions,
+    model: Reconstruction,
+    unknown: &[CameraId],
+) -> Option<(f64, f64)> {
+    let refine = RefineIntrinsics { principal_point: false, ..options.refine };
+    let options = &MapperOptions { refine, ..*options };
+    let mut refiner = Refiner::new(Input::of_trial(graph, scene, options), model, Vec::new());
+    refiner.complete();
+    let watch = &mut |_: &_| ControlFlow::Continue(());
+    refiner.refine_globally(&RefinementSchedule::GROWING, watch).ok()?;
+    let model = &refiner.solution.model;
+    let cameras = model.registered_cameras();
+    let cameras = unknown.iter().filter(|id| cameras.contains(id)).map(|id| model.camera(*id));
+    let focals: Vec<f64> = cameras
+        .map(|camera| {
+            camera.intrinsics.mean_focal_px() / f64::from(camera.width.max(camera.height))
+        })
+        .collect();
+    let mean = focals.iter().sum::<f64>() / focals.len() as f64;
+    mean.is_finite().then(|| (support(model).1 * model.num_registered() as f64, mean))
+}
+
+/// The trial model with the largest support, and that. A model that ends early tells of its initial
+/// pair, not of the focal length: then another one begins with a pair of other cameras. On a highway
+/// the best pairs are of two cameras side by side at one moment, and no third image has enough of
+/// their few near points.
+fn trial_model(input: Input) -> (f64, Option<Reconstruction>) {
     let blank = || Growth::trial(input, BTreeSet::new(), MAX_TRIAL_IMAGES);
     let cameras = |pair: &ImagePair| {
         let [a, b] = [pair.a, pair.b].map(|image| input.scene.image(image).camera);
         (a.min(b), a.max(b))
     };
     let mut candidates = blank().candidates();
-    let mut most = 0.0_f64;
+    let mut most = (0.0, None);
     for _ in 0..MAX_TRIAL_MODELS {
         let mut trial = blank();
         let watch = &mut |_: &_| ControlFlow::Continue(());
@@ -84,7 +149,10 @@ fn trial_support(input: Input) -> f64 {
         let Ok(pair) = trial.initialise(&candidates, watch) else { break };
         // A failed trial counts with the images that it registered.
         let _ = trial.grow(watch);
-        most = most.max(support(trial.model()).0);
+        let (score, _) = support(trial.model());
+        if score > most.0 {
+            most = (score, Some(trial.model().clone()));
+        }
         if trial.model().num_registered() >= MAX_TRIAL_IMAGES.min(input.graph.num_images()) {
             break;
         }

@@ -1,9 +1,9 @@
 //! One model for each connected component of the image graph.
 
-use std::collections::{BTreeSet, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use tiepoint_adjust::{FocalPrior, Term};
-use tiepoint_scene::{CorrespondenceGraph, ImageId, Reconstruction};
+use tiepoint_scene::{CameraId, CorrespondenceGraph, ImageId, Reconstruction};
 
 use super::checkpoint::{Checkpoints, Step};
 use super::focal_trials::choose_focal_lengths;
@@ -19,6 +19,10 @@ use crate::options::MapperOptions;
 use crate::rigs::Descriptors;
 use crate::terms::reborrow;
 use crate::two_view::{estimate_focal_lengths, focal_priors};
+
+/// A model with so many images of a camera gives later models its intrinsics: as many as the first
+/// selection of a camera model has. Not varied.
+const MIN_IMAGES: usize = 10;
 
 /// The scene without poses, points and rigs.
 pub(super) fn without_model(scene: &Reconstruction) -> Reconstruction {
@@ -59,7 +63,10 @@ pub(super) fn map_rest(
         // Some are finished: by an earlier run, or within another one.
         starts.retain(|start| registered(&start.model).is_disjoint(&mapped_images));
         checkpoints.begin(input, &models, &mapped_images, Step::Grow);
-        let refiner = Refiner::new(input, input.scene.clone(), reborrow(terms));
+        let others = models.iter().map(|model| &model.reconstruction);
+        let scene = &with_lenses_of(input.scene, others);
+        let input = Input { scene, ..input };
+        let refiner = Refiner::new(input, scene.clone(), reborrow(terms));
         let start = starts.pop_front();
         let others = starts.iter().flat_map(|start| registered(&start.model));
         let growth = Growth::new(refiner, others.chain(mapped_images.iter().copied()).collect());
@@ -85,6 +92,31 @@ pub(super) fn map_rest(
     Ok(models)
 }
 
+/// The scene in which cameras have the intrinsics of the model with the most of their images: they
+/// are the same lenses. A camera with a calibration begins with that, and one with fewer than
+/// [`MIN_IMAGES`] as it would alone.
+fn with_lenses_of<'a>(
+    scene: &Reconstruction,
+    models: impl Iterator<Item = &'a Reconstruction>,
+) -> Reconstruction {
+    let mut scene = scene.clone();
+    let mut most = BTreeMap::new();
+    for model in models {
+        let mut counts: BTreeMap<CameraId, usize> = BTreeMap::new();
+        model.registered().for_each(|(_, image, _)| *counts.entry(image.camera).or_default() += 1);
+        for (camera, count) in counts {
+            let most = most.entry(camera).or_insert(MIN_IMAGES - 1);
+            let is_known =
+                scene.calibrated.contains(&camera) || scene.intrinsics_priors.contains_key(&camera);
+            if count > *most && !is_known {
+                *most = count;
+                scene.camera_mut(camera).intrinsics = model.camera(camera).intrinsics;
+            }
+        }
+    }
+    scene
+}
+
 /// Maps one connected component, or grows a model on.
 fn map_component(
     mut growth: Growth,
@@ -108,5 +140,53 @@ pub(super) fn initialise(growth: &mut Growth, watch: &mut Watch) -> Result<(), E
     match growth.best_initial_pair(&candidates) {
         Some(pair) => growth.initialise(&[pair], watch).map(drop),
         None => growth.initialise(&candidates, watch).map(drop),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use tiepoint_geometry::{CameraModelKind, Intrinsics, Rigid3};
+    use tiepoint_scene::{Camera, Image};
+
+    use super::*;
+
+    const FOUND: [f64; 2] = [300.0, 310.0];
+    const BEFORE: f64 = 768.0;
+
+    fn radial(focal_px: f64) -> Intrinsics {
+        Intrinsics::new(CameraModelKind::SimpleRadial, &[focal_px, 320.0, 240.0, 0.0]).unwrap()
+    }
+
+    /// Two cameras with `counts` images with a pose, and a focal length.
+    fn model(counts: [usize; 2], focal_px: f64) -> Reconstruction {
+        let mut model = Reconstruction::default();
+        for count in counts {
+            let intrinsics = radial(focal_px);
+            let camera = Camera { intrinsics, width: 640, height: 480, has_focal_prior: false };
+            let camera = model.add_camera(camera);
+            for k in 0..count {
+                let image = Image::new(format!("{}/{k}.png", camera.index()), camera, Vec::new());
+                let image = model.add_image(image);
+                model.register(image, Rigid3::identity());
+            }
+        }
+        model
+    }
+
+    #[test]
+    fn later_models_begin_with_the_lens_of_the_one_with_the_most_images() {
+        let scene = model([0, 0], BEFORE);
+        let models =
+            [model([MIN_IMAGES, 0], FOUND[0]), model([MIN_IMAGES + 1, MIN_IMAGES], FOUND[1])];
+        let focals = |scene: &Reconstruction, models: &[Reconstruction]| {
+            let found = with_lenses_of(scene, models.iter());
+            [0, 1].map(|k| found.camera(CameraId::from_index(k)).intrinsics.mean_focal_px())
+        };
+        assert_eq!(focals(&scene, &models), [FOUND[1]; 2]);
+        assert_eq!(focals(&scene, &models[..1]), [FOUND[0], BEFORE]);
+        assert_eq!(focals(&scene, &[model([MIN_IMAGES - 1, 0], FOUND[0])]), [BEFORE; 2]);
+        let mut known = scene;
+        known.calibrated.insert(CameraId::from_index(1));
+        assert_eq!(focals(&known, &models), [FOUND[1], BEFORE]);
     }
 }
