@@ -131,9 +131,9 @@ fn refined(
 }
 
 /// The trial model with the largest support, and that. A model that ends early tells of its initial
-/// pair, not of the focal length: then another one begins with a pair of other cameras. On a highway
-/// the best pairs are of two cameras side by side at one moment, and no third image has enough of
-/// their few near points.
+/// pair, not of the focal length: then another one begins with a pair of other cameras. On a
+/// highway the best pairs are of two cameras side by side at one moment, and no third image has
+/// enough of their few near points.
 fn trial_model(input: Input) -> (f64, Option<Reconstruction>) {
     let blank = || Growth::trial(input, BTreeSet::new(), MAX_TRIAL_IMAGES);
     let cameras = |pair: &ImagePair| {
