@@ -34,9 +34,9 @@ struct Trial {
     scene: Reconstruction,
     /// The support of the model with this focal length.
     support: f64,
-    /// The model's number of images times its relative support after its intrinsics were refined,
-    /// and the mean focal length relative to the larger side. `None` if that fails.
-    refined: Option<(f64, f64)>,
+    /// The model after its intrinsics were refined: number of images, mean support of an
+    /// observation, and mean focal length relative to the larger side. `None` if that fails.
+    refined: Option<(usize, f64, f64)>,
 }
 
 /// Maps a small model with each trial focal length and keeps the one with the largest support. Used
@@ -81,11 +81,13 @@ pub(super) fn choose_focal_lengths(
         trials.push(trial);
     }
     *scene = trials[chosen].scene.clone();
-    let better = trials.iter().filter_map(|trial| trial.refined).max_by(|a, b| a.0.total_cmp(&b.0));
-    if let (Some(better), Some(of_chosen)) = (better, trials[chosen].refined)
-        && better.0 > MIN_TRIAL_GAIN * of_chosen.0
+    let Some((num_images, mean_support, _)) = trials[chosen].refined else { return };
+    let refined = trials.iter().filter_map(|trial| trial.refined);
+    let as_large = refined.filter(|refined| refined.0 >= num_images);
+    if let Some(better) = as_large.max_by(|a, b| a.1.total_cmp(&b.1))
+        && better.1 > MIN_TRIAL_GAIN * mean_support
     {
-        *scene = with_relative_focal(scene, &unknown, better.1);
+        *scene = with_relative_focal(scene, &unknown, better.2);
     }
 }
 
@@ -111,7 +113,7 @@ fn refined(
     options: &MapperOptions,
     model: Reconstruction,
     unknown: &[CameraId],
-) -> Option<(f64, f64)> {
+) -> Option<(usize, f64, f64)> {
     let refine = RefineIntrinsics { principal_point: false, ..options.refine };
     let options = &MapperOptions { refine, ..*options };
     let mut refiner = Refiner::new(Input::of_trial(graph, scene, options), model, Vec::new());
@@ -127,7 +129,8 @@ fn refined(
         })
         .collect();
     let mean = focals.iter().sum::<f64>() / focals.len() as f64;
-    mean.is_finite().then(|| (support(model).1 * model.num_registered() as f64, mean))
+    let is_tried = (FOCAL_HYPOTHESES[0]..=FOCAL_HYPOTHESES[7]).contains(&mean);
+    is_tried.then(|| (model.num_registered(), support(model).1, mean))
 }
 
 /// The trial model with the largest support, and that. A model that ends early tells of its initial

@@ -65,7 +65,13 @@ pub(super) fn map_rest(
         checkpoints.begin(input, &models, &mapped_images, Step::Grow);
         let others = models.iter().map(|model| &model.reconstruction);
         let scene = &with_lenses_of(input.scene, others);
-        let input = Input { scene, ..input };
+        // A prior about the guess would pull the focal lengths back to it.
+        let focal_priors: Vec<FocalPrior> = input
+            .focal_priors
+            .iter()
+            .map(|prior| about_lens_of(scene, input.scene, prior))
+            .collect();
+        let input = Input { scene, focal_priors: &focal_priors, ..input };
         let refiner = Refiner::new(input, scene.clone(), reborrow(terms));
         let start = starts.pop_front();
         let others = starts.iter().flat_map(|start| registered(&start.model));
@@ -115,6 +121,21 @@ fn with_lenses_of<'a>(
         }
     }
     scene
+}
+
+/// The prior on the focal length of a camera about that of `scene`, as wide as it was in relation
+/// to the focal length, unless that is as it was `before`.
+fn about_lens_of(
+    scene: &Reconstruction,
+    before: &Reconstruction,
+    prior: &FocalPrior,
+) -> FocalPrior {
+    let [now, before] = [scene, before].map(|scene| scene.camera(prior.camera).intrinsics);
+    if now == before {
+        return *prior;
+    }
+    let mean_px = now.mean_focal_px();
+    FocalPrior { mean_px, sigma_px: prior.sigma_px / prior.mean_px * mean_px, ..*prior }
 }
 
 /// Maps one connected component, or grows a model on.
@@ -188,5 +209,18 @@ mod tests {
         let mut known = scene;
         known.calibrated.insert(CameraId::from_index(1));
         assert_eq!(focals(&known, &models), [FOUND[1], BEFORE]);
+    }
+    #[test]
+    fn a_prior_follows_the_lens_that_changed() {
+        let (before, now) = (model([0, 0], BEFORE), model([0, 0], FOUND[0]));
+        let prior = |mean_px: f64| FocalPrior {
+            camera: CameraId::from_index(1),
+            mean_px,
+            sigma_px: 0.1 * mean_px,
+        };
+        assert_eq!(about_lens_of(&before, &before, &prior(700.0)), prior(700.0));
+        let moved = about_lens_of(&now, &before, &prior(700.0));
+        assert_eq!(moved.mean_px, FOUND[0]);
+        assert!((moved.sigma_px - 0.1 * FOUND[0]).abs() < 1e-9, "{moved:?}");
     }
 }
