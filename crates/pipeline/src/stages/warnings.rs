@@ -54,11 +54,11 @@ const MAX_DEVIATIONS: f64 = 5.0;
 const FOCAL_RANGE: [f64; 2] = [0.3, 12.0];
 /// Smallest scatter of a rig's relative poses, relative to the baseline.
 const MIN_RIG_SCATTER: f64 = 0.1;
-/// Smallest relative change of a rig's baseline between the halves of a drive that is told, and its
-/// smallest ratio to the standard error of that change. 60 models of rendered drives with a rig
-/// constraint and clocks change by 0.0001 to 0.003; one whose camera model did not describe the
-/// lens by 0.13, and mounts of which the half is another drive by 0.3 and more. The first factor
-/// could be halved or doubled.
+/// Smallest relative change of a rig's baseline between the halves of a drive that is a warning,
+/// and its smallest ratio to the standard error of that change. The baseline of 60 models of
+/// rendered drives with a rig constraint and clocks changes by 0.0001 to 0.003; that of one whose
+/// camera model does not describe the lens by 0.13. By these numbers half and double of the first
+/// change nothing; the second was not varied.
 const MIN_RIG_DRIFT: f64 = 0.02;
 const MIN_RIG_DRIFT_SIGMAS: f64 = 5.0;
 /// An image with fewer observations is as uncertain as a pair that is not verified.
@@ -248,9 +248,9 @@ impl Place<'_> {
             let (model, cameras) = (self.path(), camera.names.clone());
             let (relative, change) =
                 (camera.relative_translation_rms, camera.second_over_first_half);
-            // Of the difference of two means, each over half of the frames. Without a constraint,
-            // images of one frame may be of different times.
+            // The standard error of the difference of two means, each over half of the frames.
             let sd = 2.0 * camera.relative_baseline_sd / (camera.reconstructed_pairs as f64).sqrt();
+            // Without a constraint, images of one frame may be of different times.
             if relative >= MIN_RIG_SCATTER {
                 Some(Warning::RigScatter { model, cameras, relative })
             } else if camera.sigma_translation.is_some()

@@ -34,9 +34,18 @@ struct Trial {
     scene: Reconstruction,
     /// The support of the model with this focal length.
     support: f64,
-    /// The model after its intrinsics were refined: number of images, mean support of an
-    /// observation, and mean focal length relative to the larger side. `None` if that fails.
-    refined: Option<(usize, f64, f64)>,
+    /// The model after its intrinsics were refined; `None` if that fails.
+    refined: Option<Refined>,
+}
+
+/// A trial model with refined intrinsics.
+#[derive(Clone, Copy)]
+struct Refined {
+    num_images: usize,
+    /// Mean support of an observation.
+    mean_support: f64,
+    /// Mean focal length relative to the larger side of the image.
+    relative_focal: f64,
 }
 
 /// Maps a small model with each trial focal length and keeps the one with the largest support. Used
@@ -81,13 +90,13 @@ pub(super) fn choose_focal_lengths(
         trials.push(trial);
     }
     *scene = trials[chosen].scene.clone();
-    let Some((num_images, mean_support, _)) = trials[chosen].refined else { return };
+    let Some(of_chosen) = trials[chosen].refined else { return };
     let refined = trials.iter().filter_map(|trial| trial.refined);
-    let as_large = refined.filter(|refined| refined.0 >= num_images);
-    if let Some(better) = as_large.max_by(|a, b| a.1.total_cmp(&b.1))
-        && better.1 > MIN_TRIAL_GAIN * mean_support
+    let as_large = refined.filter(|refined| refined.num_images >= of_chosen.num_images);
+    if let Some(better) = as_large.max_by(|a, b| a.mean_support.total_cmp(&b.mean_support))
+        && better.mean_support > MIN_TRIAL_GAIN * of_chosen.mean_support
     {
-        *scene = with_relative_focal(scene, &unknown, better.2);
+        *scene = with_relative_focal(scene, &unknown, better.relative_focal);
     }
 }
 
@@ -113,7 +122,7 @@ fn refined(
     options: &MapperOptions,
     model: Reconstruction,
     unknown: &[CameraId],
-) -> Option<(usize, f64, f64)> {
+) -> Option<Refined> {
     let refine = RefineIntrinsics { principal_point: false, ..options.refine };
     let options = &MapperOptions { refine, ..*options };
     let mut refiner = Refiner::new(Input::of_trial(graph, scene, options), model, Vec::new());
@@ -128,9 +137,14 @@ fn refined(
             camera.intrinsics.mean_focal_px() / f64::from(camera.width.max(camera.height))
         })
         .collect();
-    let mean = focals.iter().sum::<f64>() / focals.len() as f64;
-    let is_tried = (FOCAL_HYPOTHESES[0]..=FOCAL_HYPOTHESES[7]).contains(&mean);
-    is_tried.then(|| (model.num_registered(), support(model).1, mean))
+    let relative_focal = focals.iter().sum::<f64>() / focals.len() as f64;
+    let [shortest, .., longest] = FOCAL_HYPOTHESES;
+    let (_, mean_support) = support(model);
+    (shortest..=longest).contains(&relative_focal).then(|| Refined {
+        num_images: model.num_registered(),
+        mean_support,
+        relative_focal,
+    })
 }
 
 /// The trial model with the largest support, and that. A model that ends early tells of its initial

@@ -210,6 +210,7 @@ mod tests {
         known.calibrated.insert(CameraId::from_index(1));
         assert_eq!(focals(&known, &models), [FOUND[1], BEFORE]);
     }
+
     #[test]
     fn a_prior_follows_the_lens_that_changed() {
         let (before, now) = (model([0, 0], BEFORE), model([0, 0], FOUND[0]));
