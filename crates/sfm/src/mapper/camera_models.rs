@@ -3,7 +3,8 @@
 use std::collections::BTreeSet;
 
 use tiepoint_adjust::{
-    BetterCameraModel, Gauge, Scope, better_camera_models, cameras_with_fields, relative_noise,
+    AdjustOptions, BetterCameraModel, Gauge, Scope, better_camera_models, cameras_with_fields,
+    relative_noise,
 };
 use tiepoint_geometry::CameraModelKind;
 use tiepoint_scene::{CameraId, Reconstruction};
@@ -99,13 +100,44 @@ impl Refiner<'_> {
         let phase = Phase::Complete { noise: relative_noise(model) };
         let mut options = self.adjust_options_in(phase, &FIT);
         options.gauge = Gauge::FirstAndFarthest;
-        // It is refined where a camera turns, unless the user holds it.
-        let is_centre_refined = options.refine.principal_point;
-        let is_determined = |kind: &CameraModelKind| is_centre_refined || !DECENTRED.contains(kind);
-        let kinds: Vec<CameraModelKind> = MODELS.into_iter().filter(is_determined).collect();
-        let least = if is_centre_refined { VERY_STRONG } else { VERY_STRONG_WITHOUT_TURNS };
+        if options.refine.principal_point {
+            return better_camera_models(model, &cameras, &MODELS, VERY_STRONG, &options)
+                .unwrap_or_default();
+        }
+        // It is held where no camera turns, or where the user holds it.
+        let centred = MODELS.into_iter().filter(|kind| !DECENTRED.contains(kind));
+        let centred: Vec<CameraModelKind> = centred.collect();
+        let least = VERY_STRONG_WITHOUT_TURNS;
         // A fit that fails tells nothing.
-        better_camera_models(model, &cameras, &kinds, least, &options).unwrap_or_default()
+        let better =
+            better_camera_models(model, &cameras, &centred, least, &options).unwrap_or_default();
+        if better.is_empty() { self.decentred_fisheyes(&cameras, options) } else { better }
+    }
+
+    /// Fisheyes whose lens is decentred, by evidence beside a refined principal point, which stays
+    /// where it is.
+    fn decentred_fisheyes(
+        &self,
+        cameras: &[CameraId],
+        mut options: AdjustOptions,
+    ) -> Vec<BetterCameraModel> {
+        let model = &self.solution.model;
+        let kind = |id: CameraId| model.camera(id).intrinsics.kind();
+        let fisheyes = cameras.iter().copied();
+        let fisheyes: Vec<CameraId> =
+            fisheyes.filter(|&id| kind(id) == CameraModelKind::OpencvFisheye).collect();
+        options.refine.principal_point = true;
+        let kinds = [CameraModelKind::OpencvFisheye, CameraModelKind::ThinPrismFisheye];
+        let least = VERY_STRONG_WITHOUT_TURNS;
+        let mut better =
+            better_camera_models(model, &fisheyes, &kinds, least, &options).unwrap_or_default();
+        for BetterCameraModel { camera, intrinsics, .. } in &mut better {
+            let before = model.camera(*camera).intrinsics.principal_point();
+            for (axis, &index) in intrinsics.kind().principal_point_indices().iter().enumerate() {
+                intrinsics.params_mut()[index] = before[axis];
+            }
+        }
+        better
     }
 }
 

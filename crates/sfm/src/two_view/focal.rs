@@ -32,9 +32,15 @@ const NUM_GOLDEN_STEPS: usize = 6;
 const MAX_ERROR_PX: f64 = 1.0;
 /// Maximum number of RANSAC samples. A pair that needs more would not have been verified.
 const MAX_SAMPLES: usize = 200;
-/// A minimum is accepted if the cost at half and at twice the focal length is larger by this
-/// factor. In degenerate motions the cost is flat.
-const MIN_RELATIVE_RISE: f64 = 1.05;
+/// A minimum is accepted if the pairs agree that their costs are larger from twice and up to half
+/// the focal length: Student's t of the differences. In degenerate motions a few pairs decide,
+/// whose samples happen to be good. Of 17 rendered streets at 2.5 Hz (30 moments, 640 × 480, seeds
+/// 11 and 12, views to the front, left and right, with and without traffic), a sum that rises by
+/// 5 % accepted 25 focal lengths, 18 of them wrong by a factor of two to ten. All have a t of at
+/// most 2.5. Where cameras rotate, it is 3.3 to 8.0: loops, a walk, a drone, KITTI 01, Herz-Jesu
+/// and the fountain. With half the value 6 of the 18 are accepted, with twice the value half of the
+/// last ones.
+const MIN_T: f64 = 3.0;
 /// Minimum number of matches of a pair, and maximum numbers of matches per pair and of pairs that
 /// are used.
 const MIN_MATCHES: usize = 30;
@@ -206,35 +212,42 @@ fn best_focal_px(model: &Reconstruction, cameras: &[CameraId], pairs: &[Pair]) -
     }
     let first = model.camera(*cameras.first()?);
     let side_px = f64::from(first.width.max(first.height));
-    let cost = |focal_px: f64| -> f64 {
+    // Of each pair.
+    let costs = |focal_px: f64| -> Vec<f64> {
         let intrinsics = |id: CameraId| {
             let intrinsics = model.camera(id).intrinsics;
             if cameras.contains(&id) { with_focal(&intrinsics, focal_px) } else { intrinsics }
         };
-        let costs: Vec<f64> = pairs
-            .par_iter()
-            .map(|pair| {
-                let [a, b] = pair.cameras.map(intrinsics);
-                pair.cost([&a, &b])
-            })
-            .collect();
-        costs.into_iter().sum()
+        let cost = |pair: &Pair| {
+            let [a, b] = pair.cameras.map(intrinsics);
+            pair.cost([&a, &b])
+        };
+        pairs.par_iter().map(cost).collect()
     };
+    let cost = |costs: &[f64]| costs.iter().sum::<f64>();
     let kind = first.intrinsics.kind();
     let range = if kind.is_fisheye() { FISHEYE_RANGE } else { RANGE };
     let ratio = (range.1 / range.0).powf(1.0 / (NUM_STEPS - 1) as f64);
-    let grid: Vec<(f64, f64)> = (0..NUM_STEPS)
+    let grid: Vec<(Vec<f64>, f64)> = (0..NUM_STEPS)
         .map(|step| range.0 * side_px * ratio.powi(step as i32))
-        .map(|focal_px| (cost(focal_px), focal_px))
+        .map(|focal_px| (costs(focal_px), focal_px))
         .collect();
-    let (least, focal_px) = grid.iter().copied().min_by(|a, b| a.0.total_cmp(&b.0))?;
-    let rise = |is_beyond: &dyn Fn(f64) -> bool| {
-        let beyond = grid.iter().filter(|(_, f)| is_beyond(*f)).map(|g| g.0);
-        beyond.min_by(f64::total_cmp).is_none_or(|cost| cost >= MIN_RELATIVE_RISE * least)
-    };
-    let is_determined = rise(&|f| f >= 2.0 * focal_px) && rise(&|f| f <= 0.5 * focal_px);
-    is_determined
-        .then(|| golden_section(cost, focal_px / ratio, focal_px * ratio, NUM_GOLDEN_STEPS))
+    let (least, focal_px) = grid.iter().min_by(|a, b| cost(&a.0).total_cmp(&cost(&b.0)))?;
+    let mut far = grid.iter().filter(|(_, f)| *f >= 2.0 * focal_px || *f <= 0.5 * focal_px);
+    let is_determined = far.all(|(costs, _)| is_larger(costs, least));
+    is_determined.then(|| {
+        let cost = |focal_px| cost(&costs(focal_px));
+        golden_section(cost, focal_px / ratio, focal_px * ratio, NUM_GOLDEN_STEPS)
+    })
+}
+
+/// Whether the pairs agree that costs are larger than others, by Student's t of the differences.
+fn is_larger(costs: &[f64], others: &[f64]) -> bool {
+    let n = costs.len() as f64;
+    let differences = || costs.iter().zip(others).map(|(cost, other)| cost - other);
+    let mean = differences().sum::<f64>() / n;
+    let variance = differences().map(|it| (it - mean).powi(2)).sum::<f64>() / (n - 1.0);
+    mean >= MIN_T * (variance / n).sqrt() && mean > 0.0
 }
 
 /// Returns the intrinsics with another focal length in both directions.
@@ -251,6 +264,9 @@ mod tests {
     use super::*;
     use tiepoint_geometry::CameraModelKind;
     use tiepoint_scene::Camera;
+    use tiepoint_synth::{
+        Drive, DriveOptions, FeatureOptions, FeatureScene, MatchOptions, RouteKind,
+    };
 
     #[test]
     fn a_lens_has_all_cameras_of_its_pairs() {
@@ -266,5 +282,66 @@ mod tests {
             vec![[ids[0], ids[3]], [ids[1], ids[4]], [ids[2], ids[3]], [ids[0], ids[2]]];
         let lenses = [vec![ids[0], ids[2], ids[3]], vec![ids[1]], vec![ids[5]]];
         assert_eq!(unknown_lenses(&model), lenses);
+    }
+
+    #[test]
+    fn costs_are_larger_where_the_pairs_agree() {
+        let others: Vec<f64> = (0..20).map(|pair| f64::from(pair % 7)).collect();
+        let raised = |pairs: usize, by: f64| -> Vec<f64> {
+            let raised = |(pair, cost): (usize, &f64)| cost + if pair < pairs { by } else { 0.0 };
+            others.iter().enumerate().map(raised).collect()
+        };
+        assert!(is_larger(&raised(20, 0.1), &others));
+        assert!(is_larger(&raised(15, 1.0), &others));
+        assert!(!is_larger(&raised(1, 100.0), &others), "one pair decides");
+        assert!(!is_larger(&raised(20, -0.1), &others));
+        assert!(!is_larger(&others, &others));
+        assert!(!is_larger(&[2.0], &[1.0]), "one pair has no deviation");
+    }
+
+    /// Routes, their images per second and number of images of each camera, and whether rotations
+    /// determine focal lengths.
+    const ROUTES: [(RouteKind, f64, usize, bool); 2] =
+        [(RouteKind::Open, 2.5, 30, false), (RouteKind::Loop, 5.0, 60, true)];
+    const SEEDS: [u64; 2] = [1, 2];
+    /// Observed with eight seeds: −6 to 18 %.
+    const MAX_FOCAL_ERROR: f64 = 0.2;
+
+    #[test]
+    fn rotations_determine_focal_lengths() {
+        for ((route, rate_hz, frames, is_determined), seed) in
+            ROUTES.into_iter().flat_map(|route| SEEDS.map(|seed| (route, seed)))
+        {
+            let options = DriveOptions { seed, route, rate_hz, ..DriveOptions::default() };
+            let mut drive = Drive::new(&options).expect("a drive");
+            drive.keep_first(frames);
+            let features =
+                FeatureOptions { seed, observations: 600 * frames, ..FeatureOptions::default() };
+            let scene = FeatureScene::new(&drive, &features).expect("sound options");
+            let mut model = scene.without_poses();
+            let graph = uncalibrated(
+                &model,
+                &scene.graph(&MatchOptions { window: Some(3), ..MatchOptions::default() }),
+            );
+            let ids: Vec<CameraId> = model.cameras().map(|(id, _)| id).collect();
+            ids.iter().for_each(|id| model.camera_mut(*id).has_focal_prior = false);
+            let found = estimate_focal_lengths(&graph, &mut model);
+            assert_eq!(found, if is_determined { ids.clone() } else { Vec::new() }, "{options:?}");
+            for id in ids {
+                let focal_px = |model: &Reconstruction| model.camera(id).intrinsics.mean_focal_px();
+                let error = focal_px(&model) / focal_px(scene.truth()) - 1.0;
+                assert!(error.abs() < MAX_FOCAL_ERROR, "{options:?}: {error}");
+            }
+        }
+    }
+
+    fn uncalibrated(model: &Reconstruction, graph: &CorrespondenceGraph) -> CorrespondenceGraph {
+        let counts: Vec<usize> = model.images().map(|(_, image)| image.keypoints.len()).collect();
+        let kind = TwoViewKind::Uncalibrated;
+        let views = graph.pairs().iter();
+        CorrespondenceGraph::new(
+            &counts,
+            views.map(|(pair, view)| (*pair, TwoView { kind, ..view.clone() })),
+        )
     }
 }
