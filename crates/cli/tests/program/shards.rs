@@ -240,7 +240,7 @@ fn models(workspace: &Path) -> Vec<Vec<u8>> {
 fn sub_maps_give_the_same_bytes_whoever_maps_them() {
     let dir = tempfile::tempdir().unwrap();
     let dir = dir.path();
-    let synth = "synth -o {}/drive --frames 30 --size 240x180 --rate 2.5 --route open --seed 3";
+    let synth = "synth -o {}/drive --frames 30 --size 160x120 --rate 5 --route open --seed 3";
     tiepoint_in(dir, synth).done();
     tiepoint_in(dir, "features {}/drive -o {}/ws --timestamps {}/drive/timestamps.csv").done();
     tiepoint_in(dir, "match {}/ws --pairs sequential:6").done();

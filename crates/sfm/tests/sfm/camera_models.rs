@@ -9,7 +9,7 @@ use crate::lens::{LENS_FIELD_PX, begin_as_simple_radial, street_of};
 
 /// Moments of two cameras.
 const FRAMES: usize = 30;
-const OBSERVATIONS: usize = 30_000;
+const OBSERVATIONS_PER_FRAME: usize = 1000;
 
 /// The first moments of a loop, without poses, and the matches. The cameras begin as SIMPLE_RADIAL.
 pub(crate) fn street(
@@ -20,7 +20,7 @@ pub(crate) fn street(
     let effects = Effects { has_action_lens, ..Effects::default() };
     let route = RouteKind::Loop;
     let options = DriveOptions { rate_hz: 5.0, route, effects, ..DriveOptions::default() };
-    let (_, scene, graph) = street_of(&options, frames, OBSERVATIONS);
+    let (_, scene, graph) = street_of(&options, frames, OBSERVATIONS_PER_FRAME * frames);
     let mut blank = scene.without_poses();
     if lens_field_px > 0.0 {
         LensField::displace_keypoints(&mut blank, lens_field_px, 1);

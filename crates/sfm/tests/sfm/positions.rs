@@ -383,8 +383,7 @@ fn precise_positions_remove_drift_and_wrong_ones_are_not_believed() {
             sigmas_m: Some([0.02; 2]),
         })
         .collect();
-    let run = |positions: &[MeasuredPosition], rig: RigMode| {
-        let without = mapped(&street, None, rig);
+    let run = |positions: &[MeasuredPosition], rig: RigMode, without: &[MappedModel]| {
         let model = &without[0].reconstruction;
         let found = aligned(model, positions);
         let (used, _) = held_out(positions);
@@ -403,8 +402,9 @@ fn precise_positions_remove_drift_and_wrong_ones_are_not_believed() {
         ];
         (compared.unwrap(), rms)
     };
-    for rig in [RigMode::Off, RigMode::Rigid] {
-        let (compared, [before, after]) = run(&exact, rig);
+    let [off, rigid] = [RigMode::Off, RigMode::Rigid].map(|rig| mapped(&street, None, rig));
+    for (rig, without) in [(RigMode::Off, &off), (RigMode::Rigid, &rigid)] {
+        let (compared, [before, after]) = run(&exact, rig, without);
         // A rigid rig leaves little drift.
         let is_better = compared.is_better() && after < 0.7 * before;
         assert!(is_better || rig == RigMode::Rigid, "{before} m, {after} m: {compared:?}");
@@ -420,7 +420,7 @@ fn precise_positions_remove_drift_and_wrong_ones_are_not_believed() {
             MeasuredPosition { xyz, ..*position }
         })
         .collect();
-    let (compared, _) = run(&bent, RigMode::Off);
+    let (compared, _) = run(&bent, RigMode::Off, &off);
     assert!(!compared.is_better(), "{compared:?}");
     // What is better is not taken if the largest model loses images.
     let better = Comparison { gain: 0.5, t: 9.0, images: [100; 2], kept: [100; 2], ..compared };
