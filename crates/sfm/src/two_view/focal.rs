@@ -5,8 +5,9 @@
 //! values of fundamental matrices (Mendonça & Cipolla 1999) are faster, but fail on roads. If a
 //! camera translates without rotating, any focal length explains a pair, and the conditions depend
 //! on noise only. With repeated texture, half of the inliers of a fundamental matrix may be wrong.
-//! In the cost in pixels, such pairs have little influence, and pairs with rotation decide. The
-//! cost has several minima, so it is evaluated on a grid, one camera after the other.
+//! In the cost in pixels, such pairs have little influence, and pairs with rotation decide, if they
+//! are enough. The cost has several minima, so it is evaluated on a grid, one camera after the
+//! other.
 
 use std::collections::BTreeMap;
 
@@ -242,6 +243,7 @@ fn best_focal_px(model: &Reconstruction, cameras: &[CameraId], pairs: &[Pair]) -
 }
 
 /// Whether the pairs agree that costs are larger than others, by Student's t of the differences.
+/// One pair never does. Where most of many pairs say nothing, a ninth must say the same.
 fn is_larger(costs: &[f64], others: &[f64]) -> bool {
     let n = costs.len() as f64;
     let differences = || costs.iter().zip(others).map(|(cost, other)| cost - other);
@@ -304,8 +306,10 @@ mod tests {
     const ROUTES: [(RouteKind, f64, usize, bool); 2] =
         [(RouteKind::Open, 2.5, 30, false), (RouteKind::Loop, 5.0, 60, true)];
     const SEEDS: [u64; 2] = [1, 2];
-    /// Observed with eight seeds: −6 to 18 %.
-    const MAX_FOCAL_ERROR: f64 = 0.2;
+    /// Where nothing is known, a focal length begins at so many larger sides of the image.
+    const GUESS: f64 = 1.2;
+    /// Observed: −4 to 5 %.
+    const MAX_FOCAL_ERROR: f64 = 0.1;
 
     #[test]
     fn rotations_determine_focal_lengths() {
@@ -324,10 +328,15 @@ mod tests {
                 &scene.graph(&MatchOptions { window: Some(3), ..MatchOptions::default() }),
             );
             let ids: Vec<CameraId> = model.cameras().map(|(id, _)| id).collect();
-            ids.iter().for_each(|id| model.camera_mut(*id).has_focal_prior = false);
+            for id in &ids {
+                let camera = model.camera_mut(*id);
+                let guess_px = GUESS * f64::from(camera.width.max(camera.height));
+                camera.intrinsics = with_focal(&camera.intrinsics, guess_px);
+                camera.has_focal_prior = false;
+            }
             let found = estimate_focal_lengths(&graph, &mut model);
-            assert_eq!(found, if is_determined { ids.clone() } else { Vec::new() }, "{options:?}");
-            for id in ids {
+            assert_eq!(found, if is_determined { ids } else { Vec::new() }, "{options:?}");
+            for id in found {
                 let focal_px = |model: &Reconstruction| model.camera(id).intrinsics.mean_focal_px();
                 let error = focal_px(&model) / focal_px(scene.truth()) - 1.0;
                 assert!(error.abs() < MAX_FOCAL_ERROR, "{options:?}: {error}");
