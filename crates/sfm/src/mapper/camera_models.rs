@@ -46,6 +46,9 @@ const MAX_IMAGES: usize = 160;
 /// drives.md), 2 have more, with 10 and 21 images, 14 have at most 7, and KITTI 04 has 6; action
 /// lenses have 61 to 33,000 with at most 21 images. By these numbers half and double change nothing
 /// on the pinholes, and with double a camera of three drives gets its camera model later.
+/// Where decentred fisheyes are compared beside a refined principal point, it is 15 to 4,263 on
+/// 110 m at ten images a second, and −5 to 11, once 38, on streets and side views with an action
+/// lens (the ones above): with half the value one camera more would be decentred.
 const VERY_STRONG_WITHOUT_TURNS: f64 = 50.0;
 /// The fit of a camera model.
 const FIT: RefinementSchedule =
