@@ -16,6 +16,7 @@ pub mod register;
 pub mod rigs;
 pub mod rolling_shutter;
 mod saved;
+mod student_t;
 pub mod submaps;
 mod terms;
 mod timeline;

@@ -117,27 +117,23 @@ impl Refiner<'_> {
         if better.is_empty() { self.decentred_fisheyes(&cameras, options) } else { better }
     }
 
-    /// Fisheyes whose lens is decentred, by evidence beside a refined principal point, which stays
-    /// where it is.
+    /// Those of `cameras` with OPENCV_FISHEYE whose lens is decentred, by evidence beside a refined
+    /// principal point. The principal points of before are kept.
     fn decentred_fisheyes(
         &self,
         cameras: &[CameraId],
         mut options: AdjustOptions,
     ) -> Vec<BetterCameraModel> {
         let model = &self.solution.model;
-        let kind = |id: CameraId| model.camera(id).intrinsics.kind();
-        let fisheyes = cameras.iter().copied();
-        let fisheyes: Vec<CameraId> =
-            fisheyes.filter(|&id| kind(id) == CameraModelKind::OpencvFisheye).collect();
         options.refine.principal_point = true;
         let kinds = [CameraModelKind::OpencvFisheye, CameraModelKind::ThinPrismFisheye];
         let least = VERY_STRONG_WITHOUT_TURNS;
         let mut better =
-            better_camera_models(model, &fisheyes, &kinds, least, &options).unwrap_or_default();
+            better_camera_models(model, cameras, &kinds, least, &options).unwrap_or_default();
         for BetterCameraModel { camera, intrinsics, .. } in &mut better {
             let before = model.camera(*camera).intrinsics.principal_point();
-            for (axis, &index) in intrinsics.kind().principal_point_indices().iter().enumerate() {
-                intrinsics.params_mut()[index] = before[axis];
+            for (&index, value) in intrinsics.kind().principal_point_indices().iter().zip(&before) {
+                intrinsics.params_mut()[index] = *value;
             }
         }
         better

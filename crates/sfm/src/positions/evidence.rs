@@ -5,6 +5,7 @@ use tiepoint_geometry::{Loss, Sim3};
 use tiepoint_scene::{ImageId, Reconstruction};
 
 use super::measured::MeasuredPosition;
+use crate::student_t::student_t;
 
 /// Positions are held out in blocks of consecutive ones, since their errors are alike over seconds:
 /// every fifth of at most this many blocks.
@@ -129,9 +130,6 @@ pub fn compare(
     if gains.len() < MIN_BLOCKS {
         return None;
     }
-    let count = gains.len() as f64;
-    let mean = gains.iter().sum::<f64>() / count;
-    let variance = gains.iter().map(|gain| (gain - mean).powi(2)).sum::<f64>() / (count - 1.0);
     let images = |models: &[(&Reconstruction, Sim3)]| {
         models.iter().map(|(model, _)| model.num_registered()).sum()
     };
@@ -144,7 +142,7 @@ pub fn compare(
     Some(Comparison {
         median_m: distances.each_mut().map(median),
         gain: gained / total.max(f64::MIN_POSITIVE),
-        t: mean / (variance / count).sqrt().max(f64::MIN_POSITIVE),
+        t: student_t(&gains),
         images: [images(without), images(with)],
         kept: kept(without, with),
         error_px: [error_px(without), error_px(with)],
