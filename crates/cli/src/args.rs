@@ -460,8 +460,9 @@ pub(crate) struct Cameras {
 pub(crate) struct Pairs {
     /// Image pairs to match: auto, exhaustive, sequential:N or similar:K.
     ///
-    /// auto: all of up to 200 images; of more, neighbours and loops where times or numbers show a
-    /// sequence, else the most similar images. exhaustive: all. sequential:N: each image with its N
+    /// auto: all of up to 60 images; of more, neighbours and loops of recordings (by times, or the
+    /// same numbers in two cameras), and all of up to 200 photos. Above 200, numbers alone show a
+    /// sequence, too, and photos have their most similar images. exhaustive: all. sequential:N: each image with its N
     /// neighbours before and after, within a camera and across cameras (sequential alone is
     /// sequential:10). sequential:N+thin: of these those that are 1, 2, 3, 4, 6, 8, 12, 16 ...
     /// images away. sequential:N+ends: also the first N with the last N. sequential:N+loops:K: also

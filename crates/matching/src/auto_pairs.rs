@@ -7,9 +7,13 @@ use crate::retrieval::Similar;
 /// may have fewer loops.
 const MAX_PARALLEL: usize = 8;
 /// An order is that of a sequence if in this share of the images the next image is among the most
-/// similar ones. It is nearly 1 in a sequence, and at most
-/// 2 [`AutoPairs::OVERLAP`] / [`AutoPairs::MAX_EXHAUSTIVE`] = 0.1 in a random order.
+/// similar ones. It is nearly 1 in a sequence, and at most [`MAX_REACH`] in a random order of 20
+/// images or more.
 const MIN_ORDERED: f64 = 0.5;
+/// The most similar ones are at most this share of the images of a camera, of fewer than 20 images
+/// the most similar two: those before and after.
+const MAX_REACH: f64 = 0.1;
+const MIN_REACH: usize = 2;
 
 /// Source of the order of the images of a camera. Positions from different sources are not
 /// comparable.
@@ -42,9 +46,12 @@ pub struct AutoPairs {
 }
 
 impl AutoPairs {
-    /// Largest number of images of which all pairs are matched: 19,900 pairs, minutes on a few
+    /// Of so many images all pairs are matched, but for recordings: 19,900 pairs, minutes on a few
     /// cores. 100 images have a quarter of these pairs, 400 four times as many.
     pub const MAX_EXHAUSTIVE: usize = 200;
+    /// Of so many images all pairs are matched: neighbours and loops of a recording would be as
+    /// many.
+    pub const MAX_ALWAYS_EXHAUSTIVE: usize = 2 * (Self::OVERLAP as usize + Self::NUM_LOOP_IMAGES);
     /// Number of neighbours before and after an image of a sequence: the default overlap of
     /// COLMAP's sequential matcher. The time of matching is proportional to it; similar images
     /// close gaps.
@@ -58,6 +65,13 @@ impl AutoPairs {
     /// (`docs/benchmarks/matching.md`), half as many hold 0.53 of the true pairs with half the time
     /// of matching, and twice as many 0.83.
     pub const NUM_SIMILAR_IMAGES: usize = 100;
+}
+
+/// Whether images of these cameras may be recordings, of which [`auto_pairs`] selects fewer than
+/// all pairs for any number of images above [`AutoPairs::MAX_ALWAYS_EXHAUSTIVE`].
+pub fn may_be_recordings(cameras: &[CameraImages]) -> bool {
+    let have = |order| cameras.iter().filter(|camera| camera.order == order).count();
+    have(SequenceOrder::Times) > 0 || have(SequenceOrder::Numbers) > 1
 }
 
 /// Number of similar images of each image that [`auto_pairs`] needs: the neighbours of a sequence
@@ -79,16 +93,24 @@ pub fn num_similar(cameras: &[CameraImages]) -> usize {
 /// a sequence if consecutive images are similar. Sequences of two cameras run in parallel if
 /// simultaneous images are similar; then each image has the simultaneous image of the other camera
 /// and its neighbours, too.
+///
+/// Of up to [`AutoPairs::MAX_EXHAUSTIVE`] images, only recordings are sequences, and all other
+/// images have all images. A sequence is a recording if it has times or runs in parallel to another
+/// one. Numbers alone may be those of photos around one object, which all see each other.
 pub fn auto_pairs(cameras: &[CameraImages], similar: &[Vec<Similar>]) -> AutoPairs {
-    let is_sequence: Vec<bool> =
-        cameras.iter().map(|camera| follows(camera, camera, similar)).collect();
-    let sequences: Vec<&CameraImages> =
-        cameras.iter().zip(&is_sequence).filter(|(_, is)| **is).map(|(camera, _)| camera).collect();
+    let is_few = similar.len() <= AutoPairs::MAX_EXHAUSTIVE;
+    let ordered: Vec<usize> =
+        (0..cameras.len()).filter(|k| follows(&cameras[*k], &cameras[*k], similar)).collect();
+    let mut is_sequence = vec![false; cameras.len()];
     let mut pairs = Vec::new();
-    for (k, &from) in sequences.iter().enumerate() {
+    for (at, &k) in ordered.iter().enumerate() {
+        let from = &cameras[k];
+        is_sequence[k] |= !is_few || from.order == SequenceOrder::Times;
         push_neighbours(&mut pairs, from, from);
-        for &to in &sequences[k + 1..] {
-            if from.order == to.order && follows(from, to, similar) {
+        for &other in &ordered[at + 1..] {
+            let to = &cameras[other];
+            if follows(from, to, similar) {
+                (is_sequence[k], is_sequence[other]) = (true, true);
                 push_neighbours(&mut pairs, from, to);
                 push_neighbours(&mut pairs, to, from);
             }
@@ -99,6 +121,10 @@ pub fn auto_pairs(cameras: &[CameraImages], similar: &[Vec<Similar>]) -> AutoPai
         let count =
             if *is_sequence { AutoPairs::NUM_LOOP_IMAGES } else { AutoPairs::NUM_SIMILAR_IMAGES };
         for &a in camera.sequence.images() {
+            if is_few && !is_sequence {
+                pairs.extend((0..similar.len() as u32).map(|b| (a, b)));
+                continue;
+            }
             let others = similar[a as usize].iter().map(|other| (a, other.image));
             let is_new = |&(a, b): &Pair| neighbours.binary_search(&(a.min(b), a.max(b))).is_err();
             pairs.extend(others.filter(is_new).take(count));
@@ -115,7 +141,8 @@ fn follows(from: &CameraImages, to: &CameraImages, similar: &[Vec<Similar>]) -> 
     }
     let mut is_of_other = vec![false; similar.len()];
     to.sequence.images().iter().for_each(|&image| is_of_other[image as usize] = true);
-    let reach = 2 * AutoPairs::OVERLAP as usize;
+    let share = (MAX_REACH * to.sequence.len() as f64) as usize;
+    let reach = share.clamp(MIN_REACH, 2 * AutoPairs::OVERLAP as usize);
     let next = usize::from(std::ptr::eq(from, to));
     let [mut ordered, mut all] = [0u32; 2];
     for (&image, position) in from.sequence.images().iter().zip(positions(from, to)) {

@@ -21,7 +21,9 @@ mod pruned;
 mod random;
 pub mod retrieval;
 
-pub use auto_pairs::{AutoPairs, CameraImages, SequenceOrder, auto_pairs, num_similar};
+pub use auto_pairs::{
+    AutoPairs, CameraImages, SequenceOrder, auto_pairs, may_be_recordings, num_similar,
+};
 pub use error::Error;
 pub use guided::{EpipolarGuide, match_guided};
 pub use matcher::{Matcher, PreparedImages};

@@ -96,6 +96,54 @@ fn parallel_cameras_share_neighbours_and_others_do_not() {
     assert!(!follows(&kinds[0], &kinds[1], &similar(&there_and_there, num_similar(&kinds))));
 }
 
+/// Photos around one object all see each other; a recording of times or of cameras in parallel has
+/// few pairs.
+#[test]
+fn of_few_images_only_recordings_leave_out_pairs() {
+    let few = AutoPairs::MAX_EXHAUSTIVE as u32;
+    let half = few / 2;
+    let all = (few * (few - 1) / 2) as usize;
+    let along: Vec<f64> = (0..few).map(f64::from).collect();
+    let num_pairs = |order| choose(&[camera(0..few, 0.0, order)], &along).pairs.len();
+    assert_eq!(num_pairs(SequenceOrder::Numbers), all);
+    let per_image = AutoPairs::OVERLAP as usize + AutoPairs::NUM_LOOP_IMAGES;
+    assert!(num_pairs(SequenceOrder::Times) <= few as usize * per_image);
+    let two = [0..half, half..few].map(|images| camera(images, 0.0, SequenceOrder::Numbers));
+    let in_parallel: Vec<f64> = (0..few).map(|k| f64::from(k % half)).collect();
+    let chosen = choose(&two, &in_parallel);
+    assert_eq!(chosen.is_sequence, [true, true]);
+    // Neighbours in the own camera, in the other one, and loops.
+    let per_image = per_image + AutoPairs::OVERLAP as usize + 1;
+    assert!(chosen.pairs.len() <= few as usize * per_image, "{}", chosen.pairs.len());
+    // Beside a recording, photos have all images.
+    let elsewhere: Vec<f64> = (0..few).map(|k| f64::from(k % half + 900 * (k / half))).collect();
+    let [first, second] = two;
+    let first = CameraImages { order: SequenceOrder::Times, ..first };
+    let mixed = choose(&[first, second], &elsewhere);
+    assert_eq!(mixed.is_sequence, [true, false]);
+    for a in half..few {
+        let of_image = mixed.pairs.iter().filter(|(i, j)| *i == a || *j == a).count();
+        assert_eq!(of_image, few as usize - 1, "{a}");
+    }
+}
+
+/// The most similar images are nearly all of a small camera.
+#[test]
+fn few_images_in_random_order_are_no_sequence() {
+    for images in [20, 40, 60] {
+        let draws = 0..20;
+        let are_sequences = draws.filter(|draw| {
+            let mut places: Vec<u32> = (0..images).collect();
+            stream(4, *draw).shuffle(&mut places);
+            let positions: Vec<f64> = places.iter().map(|place| f64::from(*place)).collect();
+            let camera = camera(0..images, 0.0, SequenceOrder::Numbers);
+            follows(&camera, &camera, &similar(&positions, images as usize))
+        });
+        let num = are_sequences.count();
+        assert!(num <= 1, "{num} of 20 with {images} images");
+    }
+}
+
 #[test]
 fn few_or_no_images() {
     assert_eq!(auto_pairs(&[], &[]), AutoPairs::default());

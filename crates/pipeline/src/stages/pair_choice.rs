@@ -12,7 +12,9 @@ use tiepoint_sfm::matching::retrieval::{
     GlobalDescriptor, ImageWords, InvertedIndex, RetrievalIndex, Similar, Vocabulary,
     VocabularyOptions, VocabularyTree,
 };
-use tiepoint_sfm::matching::{AutoPairs, PairSelection, Sequence, auto_pairs, num_similar};
+use tiepoint_sfm::matching::{
+    AutoPairs, PairSelection, Sequence, auto_pairs, may_be_recordings, num_similar,
+};
 use tiepoint_sfm::scene::{Image, ImageId, ImagePair};
 
 use crate::{Error, Stage, Workspace};
@@ -60,7 +62,7 @@ pub fn choose_pairs(
     found
 }
 
-/// The selection without [`PairSelection::Auto`] where that is the same as all pairs. `recorded` is
+/// The selection without [`PairSelection::Auto`] where that is all pairs of any images. `recorded` is
 /// the selection in the record of an earlier run: if it has matched all pairs, those that `auto`
 /// would choose are among them.
 pub(crate) fn resolved(
@@ -70,7 +72,7 @@ pub(crate) fn resolved(
 ) -> PairSelection {
     let is_exhaustive = recorded == Some(&*PairSelection::Exhaustive.to_string());
     match selection {
-        PairSelection::Auto if images <= AutoPairs::MAX_EXHAUSTIVE || is_exhaustive => {
+        PairSelection::Auto if images <= AutoPairs::MAX_ALWAYS_EXHAUSTIVE || is_exhaustive => {
             PairSelection::Exhaustive
         }
         other => other,
@@ -109,7 +111,7 @@ pub(crate) fn choose_pairs_of_images(
     Ok(PairChoice { selection, pairs: pairs.into_iter().filter_map(pair).collect() })
 }
 
-/// The pairs of `auto` for more images than all pairs of are matched.
+/// The pairs of `auto` for more images than [`AutoPairs::MAX_ALWAYS_EXHAUSTIVE`].
 fn automatic(
     database: &Database,
     images: &[Image],
@@ -117,17 +119,26 @@ fn automatic(
     seed: u64,
 ) -> Result<(String, Vec<(u32, u32)>), Error> {
     let cameras = camera_images(images, times)?;
+    let is_few = images.len() <= AutoPairs::MAX_EXHAUSTIVE;
+    let exhaustive = PairSelection::Exhaustive.to_string();
+    if is_few && !may_be_recordings(&cameras) {
+        let pairs = selected(database, images, times, PairSelection::Exhaustive, seed)?;
+        return Ok((exhaustive, pairs));
+    }
     let similar = similar_images(database, &all_ids(images.len()), num_similar(&cameras), seed)?;
     let chosen = auto_pairs(&cameras, &similar);
     let of_sequences = cameras.iter().zip(&chosen.is_sequence).filter(|(_, is)| **is);
     let in_order: usize = of_sequences.map(|(camera, _)| camera.sequence.len()).sum();
     let sequential =
         format!("sequential:{}+loops:{}", AutoPairs::OVERLAP, AutoPairs::NUM_LOOP_IMAGES);
-    let by_similarity = format!("similar:{}", AutoPairs::NUM_SIMILAR_IMAGES);
+    let of_others = match is_few {
+        true => exhaustive,
+        false => format!("similar:{}", AutoPairs::NUM_SIMILAR_IMAGES),
+    };
     let selection = match images.len() - in_order {
         0 => sequential,
-        others if others == images.len() => by_similarity,
-        others => format!("{sequential} for {in_order} images, {by_similarity} for {others}"),
+        others if others == images.len() => of_others,
+        others => format!("{sequential} for {in_order} images, {of_others} for {others}"),
     };
     Ok((selection, chosen.pairs))
 }
@@ -346,12 +357,31 @@ mod tests {
     }
 
     #[test]
+    fn few_photos_have_all_pairs_and_recordings_do_not() {
+        const IMAGES: u32 = 80;
+        let along = |place: u32, feature: u32| u64::from(2 * place + feature);
+        let photos: Vec<String> = (0..IMAGES).map(|k| format!("a/{k:03}.jpg")).collect();
+        let of_two = |k: u32| format!("{}/{:03}.jpg", ["left", "right"][k as usize % 2], k / 2);
+        let recording: Vec<String> = (0..IMAGES).map(of_two).collect();
+        let all = (IMAGES * (IMAGES - 1) / 2) as usize;
+        for (names, expected) in [(photos, "exhaustive"), (recording, "sequential:10+loops:20")] {
+            let folder = tempfile::tempdir().unwrap();
+            let database = database(folder.path(), &names, along);
+            let images = database.read_images().unwrap();
+            let (chosen, pairs) = automatic(&database, &images, &BTreeMap::new(), 0).unwrap();
+            assert_eq!(chosen, expected);
+            assert_eq!(pairs.len() == all, expected == "exhaustive", "{} pairs", pairs.len());
+        }
+    }
+
+    #[test]
     fn auto_is_exhaustive_for_few_images_and_where_all_pairs_were_matched() {
         let [auto, exhaustive] = [PairSelection::Auto, PairSelection::Exhaustive];
-        assert_eq!(resolved(auto, AutoPairs::MAX_EXHAUSTIVE, None), exhaustive);
-        assert_eq!(resolved(auto, AutoPairs::MAX_EXHAUSTIVE + 1, None), auto);
-        assert_eq!(resolved(auto, AutoPairs::MAX_EXHAUSTIVE + 1, Some("exhaustive")), exhaustive);
-        assert_eq!(resolved(auto, AutoPairs::MAX_EXHAUSTIVE + 1, Some("sequential:5")), auto);
+        const MOST: usize = AutoPairs::MAX_ALWAYS_EXHAUSTIVE;
+        assert_eq!(resolved(auto, MOST, None), exhaustive);
+        assert_eq!(resolved(auto, MOST + 1, None), auto);
+        assert_eq!(resolved(auto, MOST + 1, Some("exhaustive")), exhaustive);
+        assert_eq!(resolved(auto, MOST + 1, Some("sequential:5")), auto);
         let similar = PairSelection::Similar { count: 3 };
         assert_eq!(resolved(similar, 5, Some("exhaustive")), similar);
     }
