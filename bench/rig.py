@@ -61,6 +61,8 @@ def compare_rig(found, true, metres_per_unit):
     t = np.array(found["translation"]) * metres_per_unit
     true_t = np.array([true[f"rig_t{a}"] for a in "xyz"])
     clock = found["clock"]
+    if "assumed_frame_s" in clock:
+        raise SystemExit("frames without times have no offset in seconds: give their times")
     pivot = clock["pivot_s"]
     offset_ms = 1e3 * (
         pivot + clock["offset_s"] - (pivot - true["clock_offset_s"]) / (1 + true["clock_drift"])
@@ -279,6 +281,7 @@ def main():
                         errors[name] = {
                             "length_m": length,
                             "offset_ms": 1e3 * clock["offset_s"],
+                            "assumed_frame_s": clock.get("assumed_frame_s"),
                             "offset_sd_ms": 1e3 * (clock["offset_sd_s"] or float("nan")),
                             "clock_state": clock["state"],
                         }

@@ -241,7 +241,8 @@ def rig_errors(workspace, window, scale):
                 else None,
                 "length_ratio": length / np.linalg.norm([truth[f"rig_t{axis}"] for axis in "xyz"]),
                 "offset_s": offset,
-                "offset_sd_s": clock["offset_sd_s"],
+                # Of numbered frames without times, the offset is none in seconds.
+                "offset_sd_s": None if "assumed_frame_s" in clock else clock["offset_sd_s"],
             }
         )
     return found

@@ -460,14 +460,14 @@ pub(crate) struct Cameras {
 pub(crate) struct Pairs {
     /// Image pairs to match: auto, exhaustive, sequential:N or similar:K.
     ///
-    /// auto: all of up to 60 images; of more, neighbours and loops of recordings (by times, or the
-    /// same numbers in two cameras), and all of up to 200 photos. Above 200, numbers alone show a
-    /// sequence, too, and photos have their most similar images. exhaustive: all. sequential:N: each image with its N
-    /// neighbours before and after, within a camera and across cameras (sequential alone is
-    /// sequential:10). sequential:N+thin: of these those that are 1, 2, 3, 4, 6, 8, 12, 16 ...
-    /// images away. sequential:N+ends: also the first N with the last N. sequential:N+loops:K: also
-    /// each image with its K most similar images, to find loops. similar:K: each image with its K
-    /// most similar images only, for unordered photos.
+    /// auto: all of up to 60 images; of more, neighbours and loops of recordings (by times below a
+    /// second, or the same numbers in two cameras), and all of up to 200 photos. Above 200, numbers
+    /// alone show a sequence, too, and photos have their most similar images. exhaustive: all.
+    /// sequential:N: each image with its N neighbours before and after, within a camera and across
+    /// cameras (sequential alone is sequential:10). sequential:N+thin: of these those that are 1,
+    /// 2, 3, 4, 6, 8, 12, 16 ... images away. sequential:N+ends: also the first N with the last N.
+    /// sequential:N+loops:K: also each image with its K most similar images, to find loops.
+    /// similar:K: each image with its K most similar images only, for unordered photos.
     #[arg(long, value_name = "SELECTION", default_value_t = PairSelection::Auto)]
     pub(crate) pairs: PairSelection,
 }

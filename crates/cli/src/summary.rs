@@ -374,26 +374,22 @@ fn camera_extrinsics(camera: &RigCamera) -> String {
         }
         _ => format!("rotated by {angle_deg:.3}\u{b0}, undetermined by the images"),
     };
-    let offset_ms = 1e3 * clock.offset_s;
+    let (offset, its) = (clock.offset_text(), clock.added_to());
     let time = match (clock.state, clock.offset_sd_s) {
-        (RigClockState::Estimated, Some(sd_s)) => format!(
-            "time offset {offset_ms:+.2} \u{b1} {:.2} ms (to add to its times), skew {:+.0} \u{b1} \
-             {:.0} ppm",
-            1e3 * sd_s,
+        (RigClockState::Estimated, Some(_)) => format!(
+            "time offset {offset} (to add to its {its}), skew {:+.0} \u{b1} {:.0} ppm",
             clock.drift_ppm,
             clock.drift_sd_ppm.unwrap_or(f64::INFINITY),
         ),
-        (RigClockState::Estimated, None) => {
-            format!("time offset {offset_ms:+.2} ms (to add to its times)")
-        }
+        (RigClockState::Estimated, None) => format!("time offset {offset} (to add to its {its})"),
         (RigClockState::Unobservable, _) => {
-            format!("time offset unobservable, fixed at {offset_ms:+.2} ms (added to its times)")
+            format!("time offset unobservable, fixed at {offset} (added to its {its})")
         }
-        (RigClockState::Synchronised, _) if offset_ms == 0.0 => {
+        (RigClockState::Synchronised, _) if clock.offset_s == 0.0 => {
             "images of one frame count as simultaneous".to_owned()
         }
         (RigClockState::Synchronised, _) => {
-            format!("synchronised after a time offset of {offset_ms:+.2} ms (added to its times)")
+            format!("synchronised after a time offset of {offset} (added to its {its})")
         }
     };
     let unobservable = camera.unobservable.map_or(String::new(), |[x, y, z]| {

@@ -14,6 +14,9 @@ const MIN_ORDERED: f64 = 0.5;
 /// the most similar two: those before and after.
 const MAX_REACH: f64 = 0.1;
 const MIN_REACH: usize = 2;
+/// Of few images, times show a recording if they are less apart, in seconds: nobody takes photos by
+/// hand at shorter intervals.
+const MAX_INTERVAL_S: f64 = 1.0;
 
 /// Source of the order of the images of a camera. Positions from different sources are not
 /// comparable.
@@ -95,8 +98,9 @@ pub fn num_similar(cameras: &[CameraImages]) -> usize {
 /// and its neighbours, too.
 ///
 /// Of up to [`AutoPairs::MAX_EXHAUSTIVE`] images, only recordings are sequences, and all other
-/// images have all images. A sequence is a recording if it has times or runs in parallel to another
-/// one. Numbers alone may be those of photos around one object, which all see each other.
+/// images have all images. A sequence is a recording if its times are less than a second apart, or
+/// if it runs in parallel to another one. Numbers alone and slower times may be those of photos
+/// around one object, which all see each other.
 pub fn auto_pairs(cameras: &[CameraImages], similar: &[Vec<Similar>]) -> AutoPairs {
     let is_few = similar.len() <= AutoPairs::MAX_EXHAUSTIVE;
     let ordered: Vec<usize> =
@@ -105,7 +109,8 @@ pub fn auto_pairs(cameras: &[CameraImages], similar: &[Vec<Similar>]) -> AutoPai
     let mut pairs = Vec::new();
     for (at, &k) in ordered.iter().enumerate() {
         let from = &cameras[k];
-        is_sequence[k] |= !is_few || from.order == SequenceOrder::Times;
+        let is_fast = || from.sequence.median_interval_s() < MAX_INTERVAL_S;
+        is_sequence[k] |= !is_few || from.order == SequenceOrder::Times && is_fast();
         push_neighbours(&mut pairs, from, from);
         for &other in &ordered[at + 1..] {
             let to = &cameras[other];

@@ -8,9 +8,10 @@ use tiepoint_pipeline::eval::geometry::nalgebra::{Vector2, Vector3};
 use tiepoint_pipeline::eval::geometry::{Rigid3, Sim3};
 use tiepoint_pipeline::eval::{Alignment, TrueObservation, find_alignment};
 use tiepoint_pipeline::evaluation::{evaluate_cloud, evaluate_rig, evaluate_surface};
+use tiepoint_pipeline::sfm::rigs::NUMBERED_FRAME_S;
 use tiepoint_pipeline::sfm::scene::{Image, ImageId, Reconstruction};
 use tiepoint_pipeline::workspace::{RigCamera, RigClock, RigClockState, RigFile};
-use tiepoint_synth::{Drive, LidarOptions, reference_cloud};
+use tiepoint_synth::{Drive, DriveOptions, LidarOptions, reference_cloud};
 
 use true_model::{TOLERANCE_M, drive, truth_with_points};
 
@@ -126,6 +127,28 @@ fn relative_pose_is_constant_at_the_times_of_the_clock() {
     assert!((at_clock.baseline.mean - 0.5).abs() < 1e-3, "{:?}", at_clock.baseline);
     assert!(at_clock.translation_rms < 0.01, "{}", at_clock.translation_rms);
     assert!(nearest.translation_rms > 0.05, "{}", nearest.translation_rms);
+    // Without times, the numbers of the frames are compared.
+    let left_first = model.images().find(|(_, image)| image.name.starts_with("left"));
+    let right_first = model.images().find(|(_, image)| image.name.starts_with("right"));
+    let stamp_s = |found: Option<(ImageId, &Image)>| found.unwrap().1.time_s.unwrap();
+    let first_s = left.stamp_s(right.time_s(stamp_s(right_first)));
+    let frames = (first_s - stamp_s(left_first)) * DriveOptions::default().rate_hz;
+    let images: Vec<ImageId> = model.images().map(|(id, _)| id).collect();
+    let mut numbered = model.clone();
+    images.into_iter().for_each(|id| numbered.set_time(id, None));
+    let mut by_number = rig.clone();
+    by_number.cameras[0].clock = RigClock {
+        state: RigClockState::Estimated,
+        offset_s: frames * NUMBERED_FRAME_S,
+        assumed_frame_s: Some(NUMBERED_FRAME_S),
+        ..RigClock::default()
+    };
+    let found = &evaluate_rig(&numbered, Some(&by_number), 1.0)[0];
+    assert!(found.has_clock && !found.has_times);
+    assert!(found.translation_rms < 0.5 * nearest.translation_rms, "{found:?}");
+    // They are told as numbers.
+    let steps = found.times_s.windows(2).map(|two| two[1] - two[0]);
+    assert!(steps.clone().count() > 20 && steps.clone().all(|step| step > 0.9), "{found:?}");
     // What the rig says to contradict is left out.
     let bad = model.registered().map(|(_, image, _)| image.name.clone());
     let bad = bad.filter(|name| name.starts_with("right")).nth(10).unwrap();

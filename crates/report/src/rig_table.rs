@@ -73,22 +73,21 @@ fn name_of(kind: ConstraintKind) -> &'static str {
 }
 
 fn of_clock(clock: &RigClock) -> String {
-    let ms = 1e3 * clock.offset_s;
-    let sd = clock.offset_sd_s.map_or(String::new(), |sd_s| format!(" ± {:.2}", 1e3 * sd_s));
+    let (offset, its) = (clock.offset_text(), clock.added_to());
     match clock.state {
-        RigClockState::Synchronised if ms == 0.0 => {
+        RigClockState::Synchronised if clock.offset_s == 0.0 => {
             "images of one frame count as simultaneous".to_owned()
         }
         RigClockState::Synchronised => {
-            format!("synchronised after an offset of {ms:+.2} ms (added to its times)")
+            format!("synchronised after an offset of {offset} (added to its {its})")
         }
         RigClockState::Estimated => format!(
-            "offset {ms:+.2}{sd} ms (to add to its times), skew {:+.0}{} ppm",
+            "offset {offset} (to add to its {its}), skew {:+.0}{} ppm",
             clock.drift_ppm,
             clock.drift_sd_ppm.map_or(String::new(), |sd| format!(" ± {sd:.0}")),
         ),
         RigClockState::Unobservable => {
-            format!("offset {ms:+.2} ms (added to its times), undetermined by the motion")
+            format!("offset {offset} (added to its {its}), undetermined by the motion")
         }
     }
 }
@@ -177,6 +176,11 @@ mod tests {
                 "rotation of right: 90.000 °, undetermined by the images",
                 "clock of right: offset +182.35 ± 0.50 ms (to add to its times), skew -12 ppm",
             ]
+        );
+        let numbered = RigClock { assumed_frame_s: Some(0.1), ..rig.cameras[0].clock.clone() };
+        assert_eq!(
+            of_clock(&numbered),
+            "offset +1.82 ± 0.01 frames (to add to its numbers), skew -12 ppm"
         );
     }
 }

@@ -46,6 +46,12 @@ pub struct OffsetEstimate {
     /// Increase of the log-likelihood over `offset_s` = 0, as if images were independent; infinite
     /// if too few images can be compared without an offset.
     pub gain: f64,
+    /// The same, infinite only if fewer than six images can be compared without an offset.
+    pub gain_at_any_overlap: f64,
+    /// The same over the best offset that is more than an interval between images away; infinite
+    /// if there is none. Small where the cameras move in the same way all the time, as around a
+    /// turntable.
+    pub gain_apart: f64,
     /// Standard deviation from the curvature of the log-likelihood, in seconds, as if images were
     /// independent.
     pub sd_s: f64,
@@ -60,11 +66,30 @@ pub fn find_offset(reference: &Trajectory, other: &[(f64, Rigid3)]) -> Option<Of
     let (other_first, other_last) = (other.first()?.0, other.last()?.0);
     let shorter_s = (last - first).min(other_last - other_first);
     let overlap_s = last.min(other_last) - first.max(other_first);
-    let (from_s, to_s) = if overlap_s > MIN_OVERLAP * shorter_s {
-        (-MAX_OFFSET_S, MAX_OFFSET_S)
+    if overlap_s > MIN_OVERLAP * shorter_s {
+        find_within(reference, other, [-MAX_OFFSET_S, MAX_OFFSET_S])
     } else {
-        (first - other_last + 0.5 * shorter_s, last - other_first - 0.5 * shorter_s)
-    };
+        find_unrelated_offset(reference, other)
+    }
+}
+
+/// [`find_offset`] for clocks that have nothing in common: among all offsets at which half of the
+/// shorter drive overlaps.
+pub fn find_unrelated_offset(
+    reference: &Trajectory,
+    other: &[(f64, Rigid3)],
+) -> Option<OffsetEstimate> {
+    let (first, last) = (*reference.times_s().first()?, *reference.times_s().last()?);
+    let (other_first, other_last) = (other.first()?.0, other.last()?.0);
+    let half_s = 0.5 * (last - first).min(other_last - other_first);
+    find_within(reference, other, [first - other_last + half_s, last - other_first - half_s])
+}
+
+fn find_within(
+    reference: &Trajectory,
+    other: &[(f64, Rigid3)],
+    [from_s, to_s]: [f64; 2],
+) -> Option<OffsetEstimate> {
     let step_s = reference.interval_s() / STEPS_PER_INTERVAL;
     if !(step_s > 0.0 && step_s.is_finite()) {
         return None;
@@ -72,10 +97,11 @@ pub fn find_offset(reference: &Trajectory, other: &[(f64, Rigid3)]) -> Option<Of
     let every = other.len().div_ceil(MAX_IMAGES);
     let other: Vec<(f64, Rigid3)> = other.iter().step_by(every).copied().collect();
     // Multiples of the step, so that zero is among them.
-    let indices = (from_s / step_s).ceil() as i64..=(to_s / step_s).floor() as i64;
-    if indices.clone().count() > MAX_CANDIDATES {
+    let ends = [(from_s / step_s).ceil(), (to_s / step_s).floor()];
+    if ends[1] - ends[0] >= MAX_CANDIDATES as f64 {
         return None;
     }
+    let indices = ends[0] as i64..=ends[1] as i64;
     let offsets: Vec<f64> = indices.map(|index| index as f64 * step_s).collect();
     let candidates: Vec<(usize, (f64, f64))> = offsets
         .iter()
@@ -95,15 +121,30 @@ pub fn find_offset(reference: &Trajectory, other: &[(f64, Rigid3)]) -> Option<Of
         let samples = Samples::at(reference, &other, offset_s);
         if samples.len() >= min_images { samples.cost(scales) } else { f64::INFINITY }
     };
-    let grid = offsets.iter().map(|offset_s| (cost(*offset_s), *offset_s));
-    let (_, coarse_s) = grid.min_by(|a, b| a.0.total_cmp(&b.0))?;
+    let grid: Vec<(f64, f64)> =
+        offsets.iter().map(|offset_s| (cost(*offset_s), *offset_s)).collect();
+    let (_, coarse_s) = *grid.iter().min_by(|a, b| a.0.total_cmp(&b.0))?;
     let offset_s = golden_section(cost, coarse_s - step_s, coarse_s + step_s, GOLDEN_STEPS);
     let (best, count) = (cost(offset_s), other.len() as f64);
     // Curvature over a tenth of a step, where the loss is smooth.
     let h = 0.1 * step_s;
     let curvature = count * (cost(offset_s - h) - 2.0 * best + cost(offset_s + h)) / (h * h);
     let sd_s = if curvature > 0.0 { (1.0 / curvature).sqrt() } else { f64::INFINITY };
-    Some(OffsetEstimate { offset_s, gain: count * (cost(0.0) - best), sd_s })
+    let is_apart = |(_, other_s): &&(f64, f64)| (other_s - offset_s).abs() > reference.interval_s();
+    let apart = grid.iter().filter(is_apart).map(|(cost, _)| *cost).fold(f64::INFINITY, f64::min);
+    // Where few images overlap, zero is no candidate, but it may be right.
+    let at_zero = Samples::at(reference, &other, 0.0);
+    let at_zero = match at_zero.len() >= MIN_IMAGES {
+        true => at_zero.cost(scales),
+        false => f64::INFINITY,
+    };
+    Some(OffsetEstimate {
+        offset_s,
+        gain: count * (cost(0.0) - best),
+        gain_at_any_overlap: count * (at_zero - best),
+        gain_apart: count * (apart - best),
+        sd_s,
+    })
 }
 
 /// Deviations below this are rounding.

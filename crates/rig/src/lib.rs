@@ -15,7 +15,7 @@ mod trajectory;
 
 pub use baseline::Baseline;
 pub use clock::Clock;
-pub use clock_search::{OffsetEstimate, find_offset};
+pub use clock_search::{OffsetEstimate, find_offset, find_unrelated_offset};
 pub use interpolated_extrinsics::InterpolatedExtrinsics;
 pub use knots::Knots;
 pub use relative_pose::RelativePose;

@@ -50,6 +50,51 @@ pub(crate) fn images_in_coarse_time(
     Some(times)
 }
 
+/// Numbered frames without times count as so many seconds apart. Their rate is not known, and what
+/// is estimated with it is told in frames. At 10 Hz the constants of clocks were chosen.
+pub const NUMBERED_FRAME_S: f64 = 0.1;
+
+/// Share of the images of numbered frames whose next number is there. Frames are left out where a
+/// camera stands still, or are lost. Not varied.
+const MIN_CONSECUTIVE: f64 = 0.75;
+
+/// Times of the images of two cameras.
+pub(crate) struct TwoTimelines {
+    pub(crate) references: Vec<(f64, ImageId)>,
+    pub(crate) others: Vec<(f64, ImageId)>,
+    /// Whether these are the numbers of frames, times [`NUMBERED_FRAME_S`].
+    pub(crate) are_numbers: bool,
+}
+
+/// The times of the images of two cameras ([`images_in_time`]), or, where no image has one, the
+/// numbers of their frames; `None` if there are neither.
+pub(crate) fn two_timelines(
+    scene: &Reconstruction,
+    [references, others]: [&[ImageId]; 2],
+) -> Option<TwoTimelines> {
+    let timed = (images_in_time(scene, references), images_in_time(scene, others));
+    if let (Some(references), Some(others)) = timed {
+        return Some(TwoTimelines { references, others, are_numbers: false });
+    }
+    if [references, others].into_iter().flatten().any(|id| scene.image(*id).time_s.is_some()) {
+        return None;
+    }
+    let (references, others) = (numbered(scene, references)?, numbered(scene, others)?);
+    Some(TwoTimelines { references, others, are_numbers: true })
+}
+
+/// Images of one stream with numbers that count frames: most are followed by the next number.
+fn numbered(scene: &Reconstruction, images: &[ImageId]) -> Option<Vec<(f64, ImageId)>> {
+    let stream = &scene.image(*images.first()?).stream;
+    if images.iter().any(|id| scene.image(*id).stream != *stream) {
+        return None;
+    }
+    let mut numbered = images_by_number(scene, images)?;
+    let num_next = numbered.windows(2).filter(|two| two[1].0 - two[0].0 == 1.0).count();
+    numbered.iter_mut().for_each(|(number, _)| *number *= NUMBERED_FRAME_S);
+    (num_next as f64 >= MIN_CONSECUTIVE * (images.len() - 1) as f64).then_some(numbered)
+}
+
 /// Returns the registered images of a camera with a time, in order of time; none if the times were
 /// rounded to seconds, which tell no motion.
 pub(crate) fn posed_in_time(

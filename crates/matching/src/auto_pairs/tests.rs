@@ -104,10 +104,15 @@ fn of_few_images_only_recordings_leave_out_pairs() {
     let half = few / 2;
     let all = (few * (few - 1) / 2) as usize;
     let along: Vec<f64> = (0..few).map(f64::from).collect();
-    let num_pairs = |order| choose(&[camera(0..few, 0.0, order)], &along).pairs.len();
-    assert_eq!(num_pairs(SequenceOrder::Numbers), all);
+    let num_pairs = |order, interval_s: f64| {
+        let times_s = (0..few).map(|k| interval_s * f64::from(k)).collect();
+        let sequence = Sequence::with_times((0..few).collect(), times_s).unwrap();
+        choose(&[CameraImages { sequence, order }], &along).pairs.len()
+    };
+    assert_eq!(num_pairs(SequenceOrder::Numbers, 1.0), all);
+    assert_eq!(num_pairs(SequenceOrder::Times, 3.0), all, "photos by hand");
     let per_image = AutoPairs::OVERLAP as usize + AutoPairs::NUM_LOOP_IMAGES;
-    assert!(num_pairs(SequenceOrder::Times) <= few as usize * per_image);
+    assert!(num_pairs(SequenceOrder::Times, 0.1) <= few as usize * per_image);
     let two = [0..half, half..few].map(|images| camera(images, 0.0, SequenceOrder::Numbers));
     let in_parallel: Vec<f64> = (0..few).map(|k| f64::from(k % half)).collect();
     let chosen = choose(&two, &in_parallel);
@@ -117,9 +122,10 @@ fn of_few_images_only_recordings_leave_out_pairs() {
     assert!(chosen.pairs.len() <= few as usize * per_image, "{}", chosen.pairs.len());
     // Beside a recording, photos have all images.
     let elsewhere: Vec<f64> = (0..few).map(|k| f64::from(k % half + 900 * (k / half))).collect();
-    let [first, second] = two;
-    let first = CameraImages { order: SequenceOrder::Times, ..first };
-    let mixed = choose(&[first, second], &elsewhere);
+    let times_s = (0..half).map(|k| 0.1 * f64::from(k)).collect();
+    let sequence = Sequence::with_times((0..half).collect(), times_s).unwrap();
+    let recording = CameraImages { sequence, order: SequenceOrder::Times };
+    let mixed = choose(&[recording, two[1].clone()], &elsewhere);
     assert_eq!(mixed.is_sequence, [true, false]);
     for a in half..few {
         let of_image = mixed.pairs.iter().filter(|(i, j)| *i == a || *j == a).count();

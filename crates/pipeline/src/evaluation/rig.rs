@@ -112,6 +112,7 @@ fn poses_at_clock(
     (is_left || names[1] == rig.reference).then_some(())?;
     let camera = rig.cameras.iter().find(|camera| camera.name == *name)?;
     let clock = camera.clock.clock();
+    let unit_s = camera.clock.assumed_frame_s.unwrap_or(1.0);
     let sensor_pair = SensorPair {
         clock,
         clock_state: camera.clock.state.into(),
@@ -124,7 +125,7 @@ fn poses_at_clock(
         let of_other = *image.cam_from_world()?;
         let (left_from_world, right_from_world) =
             if is_left { (of_reference, of_other) } else { (of_other, of_reference) };
-        let time_s = clock.reference_time_s(time_of(image)?);
+        let time_s = clock.reference_time_s(time_of(image)? * unit_s) / unit_s;
         (!contradicts(image)).then_some(PosePair { time_s, left_from_world, right_from_world })
     };
     Some(sensor_pair.referenced_images(model).iter().filter_map(pair).collect())

@@ -59,7 +59,7 @@ fn yaml_text(text: &str) -> String {
     if is_plain { text.to_owned() } else { serde_json::Value::from(text).to_string() }
 }
 
-/// `T_cn_cnm1` (`pose`) and the time offset of a camera.
+/// `T_cn_cnm1` (`pose`) and the time offset of a camera, if images have times.
 fn extrinsics_lines(pose: &Rigid3, camera: &RigCamera) -> String {
     let mut matrix = Matrix4::identity();
     matrix.fixed_view_mut::<3, 4>(0, 0).copy_from(&pose.to_matrix());
@@ -68,7 +68,10 @@ fn extrinsics_lines(pose: &Rigid3, camera: &RigCamera) -> String {
         let numbers: Vec<String> = row.iter().map(f64::to_string).collect();
         let _ = writeln!(text, "  - [{}]", numbers.join(", "));
     }
-    let _ = writeln!(text, "  timeshift_cam0: {}", camera.clock.offset_s);
+    // In frames, it is no time.
+    if camera.clock.assumed_frame_s.is_none() {
+        let _ = writeln!(text, "  timeshift_cam0: {}", camera.clock.offset_s);
+    }
     text
 }
 
@@ -175,5 +178,12 @@ mod tests {
             ),
             "{text}"
         );
+        let mut numbered = rig.clone();
+        for camera in &mut numbered.cameras {
+            camera.clock.assumed_frame_s = Some(0.1);
+        }
+        let (numbered, _) = camchain(&model, &numbered).unwrap();
+        let timed = text.lines().filter(|line| !line.contains("timeshift"));
+        assert!(numbered.lines().eq(timed), "{numbered}");
     }
 }

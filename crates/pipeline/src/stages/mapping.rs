@@ -16,7 +16,7 @@ use tiepoint_io::features::Descriptors;
 use tiepoint_io::{ply, timestamps};
 use tiepoint_sfm::adjust::{RefineIntrinsics, Term};
 use tiepoint_sfm::geometry::OptionError;
-use tiepoint_sfm::rigs::{rig_candidates, rig_pairs};
+use tiepoint_sfm::rigs::{have_numbered_frames, rig_candidates, rig_pairs};
 use tiepoint_sfm::scene::KnownRigs;
 use tiepoint_sfm::scene::{
     Camera, CameraId, CorrespondenceGraph, Georeference, Image, ImageId, Reconstruction,
@@ -897,7 +897,7 @@ pub(crate) fn check_times(
 
 /// Checks that a rig constraint has something to constrain: two cameras with two pairs of
 /// synchronous images, or, except for `paper`, times of all images of two cameras, whose clocks
-/// need not be synchronised.
+/// need not be synchronised, or numbers of their frames.
 ///
 /// # Errors
 ///
@@ -907,9 +907,9 @@ fn require_synchronous_images(
     scene: &Reconstruction,
     mode: RigMode,
 ) -> Result<(), Error> {
-    let has_times = mode != RigMode::Paper
-        && rig_candidates(scene).len() > 1
-        && scene.images().all(|(_, i)| i.time_s.is_some());
+    let is_timed =
+        rig_candidates(scene).len() > 1 && scene.images().all(|(_, i)| i.time_s.is_some());
+    let has_times = mode != RigMode::Paper && (is_timed || have_numbered_frames(scene));
     if has_times || rig_pairs(scene).iter().any(|rig| rig.pairs.len() >= 2) {
         return Ok(());
     }

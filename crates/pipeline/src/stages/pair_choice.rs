@@ -62,9 +62,9 @@ pub fn choose_pairs(
     found
 }
 
-/// The selection without [`PairSelection::Auto`] where that is all pairs of any images. `recorded` is
-/// the selection in the record of an earlier run: if it has matched all pairs, those that `auto`
-/// would choose are among them.
+/// The selection without [`PairSelection::Auto`] where that is all pairs of any images. `recorded`
+/// is the selection in the record of an earlier run: if it has matched all pairs, those that
+/// `auto` would choose are among them.
 pub(crate) fn resolved(
     selection: PairSelection,
     images: usize,

@@ -9,7 +9,9 @@ use serde::{Deserialize, Serialize};
 use tiepoint_sfm::geometry::Rigid3;
 use tiepoint_sfm::geometry::nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use tiepoint_sfm::rig::Clock;
-use tiepoint_sfm::rigs::{CalibratedCamera, CalibratedRig, ClockState, RigConstraint};
+use tiepoint_sfm::rigs::{
+    CalibratedCamera, CalibratedRig, ClockState, NUMBERED_FRAME_S, RigConstraint, SensorPair,
+};
 use tiepoint_sfm::scene::Reconstruction;
 
 use crate::Error;
@@ -50,9 +52,9 @@ pub struct RigCamera {
     /// Its clock relative to the reference camera's.
     pub clock: RigClock,
     /// Joint cluster-robust covariance, 8 x 8, of rotation (radians, R ← Exp(δ) R), translation
-    /// (units of the model), offset (seconds) and skew, in this order. Rows of fixed parameters are
-    /// zero; `None` where the images do not determine it. It is conditional on the scale of the
-    /// model.
+    /// (units of the model), offset (seconds, as the clock's) and skew, in this order. Rows of
+    /// fixed parameters are zero; `None` where the images do not determine it. It is conditional on
+    /// the scale of the model.
     pub covariance: Option<Vec<Vec<f64>>>,
     /// Largest standard deviation of the rotation about any axis, in degrees.
     pub rotation_sd_deg: Option<f64>,
@@ -94,7 +96,8 @@ pub enum RigClockState {
     Synchronised,
     /// Offset and skew are estimated.
     Estimated,
-    /// The images do not determine the offset. That of the time stamps is used.
+    /// The images do not determine the offset. That of the time stamps is used. Not of numbered
+    /// frames: there, images of the same number are synchronised.
     Unobservable,
 }
 
@@ -134,6 +137,11 @@ pub struct RigClock {
     pub drift_sd_ppm: Option<f64>,
     /// Mid-time of this camera's images, on its own clock, in seconds.
     pub pivot_s: f64,
+    /// Where images have no times and their frames are numbered: how many seconds a frame counts
+    /// for. Times are numbers of frames times this, which are seconds at that frame rate alone. The
+    /// key is absent where images have times, and where images of one number count as simultaneous.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub assumed_frame_s: Option<f64>,
 }
 
 impl RigFile {
@@ -150,7 +158,13 @@ impl RigFile {
     pub(crate) fn validate(&self, path: &Path) -> Result<(), Error> {
         let broken = |what: String| Error::Broken { path: path.to_owned(), what };
         let mut names = BTreeSet::from([self.reference.as_str()]);
-        for RigCamera { name, rotation_wxyz, .. } in &self.cameras {
+        for RigCamera { name, rotation_wxyz, clock, .. } in &self.cameras {
+            if let Some(frame_s) = clock.assumed_frame_s.filter(|it| *it != NUMBERED_FRAME_S) {
+                return Err(broken(format!(
+                    "the frames of camera {name} count as {frame_s} s, and {NUMBERED_FRAME_S} s \
+                    are expected"
+                )));
+            }
             if !names.insert(name) {
                 return Err(broken(format!("the camera {name} is there twice")));
             }
@@ -186,6 +200,21 @@ impl RigFile {
 }
 
 impl RigClock {
+    /// The offset with its standard deviation, in milliseconds or in frames.
+    pub fn offset_text(&self) -> String {
+        let (unit, unit_s) = match self.assumed_frame_s {
+            Some(frame_s) => ("frames", frame_s),
+            None => ("ms", 1e-3),
+        };
+        let sd = self.offset_sd_s.map(|sd_s| format!(" \u{b1} {:.2}", sd_s / unit_s));
+        format!("{:+.2}{} {unit}", self.offset_s / unit_s, sd.unwrap_or_default())
+    }
+
+    /// What the offset is added to.
+    pub fn added_to(&self) -> &'static str {
+        if self.assumed_frame_s.is_some() { "numbers" } else { "times" }
+    }
+
     /// The clock itself.
     pub(crate) fn clock(&self) -> Clock {
         let Self { offset_s, drift_ppm, pivot_s, .. } = *self;
@@ -210,20 +239,23 @@ impl RigCamera {
             let block = camera.covariance?.fixed_view::<3, 3>(first, first).into_owned();
             Some(block.symmetric_eigenvalues().max().max(0.0).sqrt())
         };
-        let is_estimated = camera.sensor_pair.clock_state == ClockState::Estimated;
+        let SensorPair { other, clock_state, .. } = camera.sensor_pair;
+        let is_estimated = clock_state == ClockState::Estimated;
+        let counts_frames = camera.sensor_pair.counts_frames(model);
         Self {
-            name: stream_of(model, camera.sensor_pair.other),
+            name: stream_of(model, other),
             rotation_wxyz: [q.w, q.i, q.j, q.k],
             translation: pose.translation.into(),
             centre_in_rig: pose.origin_in_a().into(),
             constraint: camera.constraint.into(),
             clock: RigClock {
-                state: camera.sensor_pair.clock_state.into(),
+                state: clock_state.into(),
                 offset_s: clock.offset_s,
                 offset_sd_s: sd(6).filter(|_| is_estimated),
                 drift_ppm: 1e6 * clock.drift,
                 drift_sd_ppm: sd(7).filter(|_| is_estimated).map(|sd| 1e6 * sd),
                 pivot_s: clock.pivot_s,
+                assumed_frame_s: counts_frames.then_some(NUMBERED_FRAME_S),
             },
             covariance: camera.covariance.map(|covariance| {
                 covariance.row_iter().map(|row| row.iter().copied().collect()).collect()
@@ -257,6 +289,18 @@ mod tests {
             let error = check(&names).unwrap_err().to_string();
             assert!(error.contains(&format!("ws/a: the camera {twice} is there twice")), "{error}");
         }
+    }
+
+    #[test]
+    fn frames_count_as_the_time_that_is_computed_with() {
+        let with = |frame_s| {
+            let mut rig = rig(&["right"], [1.0, 0.0, 0.0, 0.0]);
+            rig.cameras[0].clock.assumed_frame_s = Some(frame_s);
+            rig.validate(Path::new("ws/a"))
+        };
+        assert!(with(NUMBERED_FRAME_S).is_ok());
+        let error = with(0.04).unwrap_err().to_string();
+        assert!(error.contains("ws/a: the frames of camera right count as 0.04 s"), "{error}");
     }
 
     #[test]

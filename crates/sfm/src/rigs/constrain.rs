@@ -288,8 +288,14 @@ impl Context<'_> {
                 if sensor_pair.clock_state == ClockState::Estimated
                     && sd_s.is_nan() | (sd_s > MAX_CLOCK_SD_S)
                 {
-                    sensor_pair.clock_state = ClockState::Unobservable;
-                    sensor_pair.clock = Clock { offset_s: 0.0, drift: 0.0, ..sensor_pair.clock };
+                    if sensor_pair.counts_frames(model) {
+                        sensor_pair.clock_state = ClockState::Synchronised;
+                        sensor_pair.clock = Clock::default();
+                    } else {
+                        sensor_pair.clock_state = ClockState::Unobservable;
+                        sensor_pair.clock =
+                            Clock { offset_s: 0.0, drift: 0.0, ..sensor_pair.clock };
+                    }
                     has_changed = true;
                 }
                 if sensor_pair.unobservable_direction.is_none() {

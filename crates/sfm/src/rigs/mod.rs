@@ -36,7 +36,11 @@ pub use pairs::{RigPair, RigPairs, relative_poses, rig_pairs};
 pub use paper::{BaselineLink, BaselineTerm, LinkWeights, final_links, growing_links};
 pub use rematch::Descriptors;
 pub use rigid::{RigidCamera, constrain_rigidly};
-pub use sensor_pair::{ClockState, ReferencePose, ReferencedImage, SensorPair, sensor_pairs};
+pub use sensor_pair::{
+    ClockState, ReferencePose, ReferencedImage, SensorPair, have_numbered_frames, sensor_pairs,
+};
 pub use soft_rig::SoftRig;
 pub use solution::{CalibratedCamera, CalibratedRig, ConstraintLimit, SplitRepair};
 pub use succession::successive_cameras;
+
+pub use crate::timeline::NUMBERED_FRAME_S;

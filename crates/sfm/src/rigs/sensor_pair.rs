@@ -3,8 +3,10 @@
 //!
 //! Cameras of a rig need not be triggered at the same instants. The time of another camera's image
 //! is converted to the reference camera's clock, and the pose of the reference camera at that time
-//! is interpolated between four of its images. Images are paired one to one only for synchronised
-//! cameras and for images without times.
+//! is interpolated between four of its images. Images of synchronised cameras are paired one to
+//! one. Images without times are paired by their names, unless the motion contradicts that those of
+//! the same number were taken at the same instant: then the numbers of frames take the place of
+//! times.
 
 use std::collections::BTreeMap;
 
@@ -13,13 +15,13 @@ use tiepoint_geometry::nalgebra::{SMatrix, Vector3};
 use tiepoint_geometry::numeric::median;
 use tiepoint_rig::{
     Clock, InterpolatedExtrinsics, RelativePose, SynchronousExtrinsics, Trajectory, find_offset,
-    interval_s, scaled_motion, timestamp_jitter_s,
+    find_unrelated_offset, interval_s, scaled_motion, timestamp_jitter_s,
 };
 use tiepoint_scene::{CameraId, ImageId, Reconstruction};
 
 use super::pairs::{RigPair, by_name, by_time};
 use super::succession::rig_candidates_apart;
-use crate::timeline::{images_in_time, images_of_cameras};
+use crate::timeline::{NUMBERED_FRAME_S, TwoTimelines, images_of_cameras, two_timelines};
 
 /// An image of the non-reference camera, and the source of the reference camera's pose at that
 /// time.
@@ -208,12 +210,15 @@ pub fn sensor_pairs(model: &Reconstruction) -> Vec<SensorPair> {
                 assumed_baseline,
                 unobservable_direction: None,
             };
-            let (Some(references), Some(others)) =
-                (images_in_time(model, reference_images), images_in_time(model, other_images))
+            let one_instant = sensor_pair(Clock::default(), ClockState::Synchronised);
+            let Some(TwoTimelines { references, others, are_numbers }) =
+                two_timelines(model, [reference_images, other_images])
             else {
-                return Some(sensor_pair(Clock::default(), ClockState::Synchronised));
+                return Some(one_instant);
             };
             let pivot_s = 0.5 * (others.first()?.0 + others.last()?.0);
+            let common_s = references.last()?.0.min(others.last()?.0)
+                - references.first()?.0.max(others.first()?.0);
             // Only registered images are used.
             let posed = |times: &[(f64, ImageId)]| -> Vec<(f64, Rigid3)> {
                 let pose = |id: ImageId| model.image(id).cam_from_world().copied();
@@ -221,6 +226,14 @@ pub fn sensor_pairs(model: &Reconstruction) -> Vec<SensorPair> {
             };
             let (references, others) = (Trajectory::new(posed(&references)), posed(&others));
             let clock = |offset_s| Clock { offset_s, drift: 0.0, pivot_s };
+            if are_numbers {
+                let offset = offset_of_numbers(&references, &others, common_s > 0.0);
+                return Some(
+                    offset.map_or(one_instant, |(offset_s, state)| {
+                        sensor_pair(clock(offset_s), state)
+                    }),
+                );
+            }
             let Some(found) = find_offset(&references, &others) else {
                 return Some(sensor_pair(clock(0.0), ClockState::Synchronised));
             };
@@ -244,6 +257,40 @@ pub fn sensor_pairs(model: &Reconstruction) -> Vec<SensorPair> {
             })
         })
         .collect()
+}
+
+/// Whether the frames of a camera that may be on a rig are numbered like those of the reference
+/// camera, and no image has a time. The numbers need not be those of one instant.
+pub fn have_numbered_frames(scene: &Reconstruction) -> bool {
+    let cameras = rig_candidates_apart(scene);
+    let mut cameras = cameras.values();
+    let Some(references) = cameras.next() else { return false };
+    let mut timelines = cameras.filter_map(|others| two_timelines(scene, [references, others]));
+    timelines.any(|timelines| timelines.are_numbers)
+}
+
+/// Offset between the numbers of frames of two cameras, which were numbered each for itself; `None`
+/// unless the motion contradicts that the same number means the same instant, and tells one offset.
+/// It is a whole number of frames, of cameras that are triggered together, unless the motion
+/// contradicts that, too. `have_common`: whether there are images of the same number. If few of
+/// them have a pose, nothing contradicts.
+fn offset_of_numbers(
+    references: &Trajectory,
+    others: &[(f64, Rigid3)],
+    have_common: bool,
+) -> Option<(f64, ClockState)> {
+    let found = find_unrelated_offset(references, others)?;
+    let gain = found.gain_at_any_overlap;
+    if gain.min(found.gain_apart) < MIN_GAIN || have_common && gain.is_infinite() {
+        return None;
+    }
+    let whole_s = NUMBERED_FRAME_S * (found.offset_s / NUMBERED_FRAME_S).round();
+    // What moves the log-likelihood by less than the gain that an offset needs.
+    let tolerance_s = (2.0 * MIN_GAIN).sqrt() * found.sd_s;
+    if (found.offset_s - whole_s).abs() > tolerance_s.min(MAX_PHASE * NUMBERED_FRAME_S) {
+        return Some((found.offset_s, ClockState::Estimated));
+    }
+    (whole_s != 0.0).then_some((whole_s, ClockState::Synchronised))
 }
 
 /// Returns whether both cameras observe some point.
@@ -284,6 +331,15 @@ fn synchronous_offset(reference_s: &[f64], others: &[(f64, Rigid3)], offset_s: f
 }
 
 impl SensorPair {
+    /// Whether the clock compares the numbers of frames, as [`NUMBERED_FRAME_S`] seconds each:
+    /// images have no times, and the same number is not the same instant.
+    pub fn counts_frames(&self, model: &Reconstruction) -> bool {
+        let is_one_instant =
+            self.clock_state == ClockState::Synchronised && self.clock.offset_s == 0.0;
+        let mut others = model.images().filter(|(_, image)| image.camera == self.other);
+        !is_one_instant && others.all(|(_, image)| image.time_s.is_none())
+    }
+
     /// Returns the registered images of the other camera at whose times the reference camera has a
     /// pose, in order of time.
     pub fn referenced_images(&self, model: &Reconstruction) -> Vec<ReferencedImage> {
@@ -302,9 +358,11 @@ impl SensorPair {
             })
             .collect()
         };
-        let (Some(references), Some(mut others)) =
-            (images_in_time(model, reference_images), images_in_time(model, other_images))
-        else {
+        // Where the same number is the same instant, names tell it, also those with several
+        // numbers.
+        let timelines = two_timelines(model, [reference_images, other_images])
+            .filter(|timelines| !timelines.are_numbers || self.counts_frames(model));
+        let Some(TwoTimelines { references, mut others, .. }) = timelines else {
             return of_one_instant(by_name(model, reference_images, other_images));
         };
         if self.clock_state == ClockState::Synchronised {

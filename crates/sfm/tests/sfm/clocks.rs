@@ -7,7 +7,10 @@ use tiepoint_geometry::nalgebra::Vector3;
 use tiepoint_geometry::{CameraModelKind, Intrinsics, Rigid3, Rng, so3};
 use tiepoint_scene::{Camera, Image, Reconstruction};
 use tiepoint_sfm::adjust::RefineIntrinsics;
-use tiepoint_sfm::rigs::{CalibratedCamera, ClockState, RigConstraint, sensor_pairs};
+use tiepoint_sfm::rig::Clock;
+use tiepoint_sfm::rigs::{
+    CalibratedCamera, ClockState, NUMBERED_FRAME_S, RigConstraint, SensorPair, sensor_pairs,
+};
 use tiepoint_sfm::{MappedModel, Mapper, MapperOptions, RigMode};
 use tiepoint_synth::LensField;
 use tiepoint_synth::effects::ClockEffects;
@@ -200,6 +203,105 @@ fn synchronised_cameras_become_rigid_frames() {
         (ClockState::Synchronised, 0.0, RigConstraint::Rigid)
     );
     assert_eq!(run.model.frames.len(), FRAMES);
+}
+
+/// Two cameras on a rig, half a metre apart, whose images have numbers and no times. Image k of
+/// camera c has the pose of the vehicle at `time(c, k)`, with noise, and the number
+/// `number(c, k)`; those in `range(c)` have a pose.
+fn numbered_rig(
+    vehicle: &dyn Fn(f64) -> Rigid3,
+    time: &dyn Fn(u32, u32) -> f64,
+    number: &dyn Fn(u32, u32) -> u32,
+    range: &dyn Fn(u32) -> Range<u32>,
+) -> SensorPair {
+    let mut rng = Rng::stream(3, &[]);
+    let mut model = Reconstruction::default();
+    for camera in 0..2 {
+        let intrinsics = Intrinsics::centred(CameraModelKind::SimplePinhole, 500.0, 640, 480);
+        let id =
+            model.add_camera(Camera { intrinsics, width: 640, height: 480, has_focal_prior: true });
+        for k in 0..100 {
+            let name = format!("{camera}/{:03}.png", number(camera, k));
+            let image = model.add_image(Image::new(name, id, Vec::new()));
+            let cam_from_rig =
+                Rigid3::new(so3::exp(&Vector3::zeros()), -Vector3::x() * 0.5 * f64::from(camera));
+            let mut pose = cam_from_rig * vehicle(time(camera, k));
+            pose.translation += Vector3::new(rng.normal(), rng.normal(), rng.normal()) * NOISE_M;
+            if range(camera).contains(&k) {
+                model.register(image, pose);
+            }
+        }
+    }
+    sensor_pairs(&model)[0]
+}
+
+/// Noise of a pose of a reconstruction.
+const NOISE_M: f64 = 0.003;
+/// Tolerance of an offset from these poses, in frames.
+const MAX_OFFSET_FRAMES: f64 = 0.05;
+
+/// The vehicle weaves and changes its speed. A second is a frame.
+fn weaving(time_s: f64) -> Rigid3 {
+    let turn = Vector3::y() * 0.4 * (0.2 * time_s).sin();
+    let along = 0.8 * time_s + 1.5 * (0.13 * time_s).sin();
+    let centre = Vector3::new(2.0 * (0.09 * time_s).sin(), 0.0, along);
+    let rotation = so3::exp(&turn);
+    Rigid3::new(rotation, -(rotation * centre))
+}
+
+#[test]
+fn numbered_frames_have_an_offset_in_frames() {
+    let all = |_: u32| 0..100;
+    let plain = |_: u32, k: u32| k;
+    let late = |frames: f64| move |camera: u32, k: u32| f64::from(k) + frames * f64::from(camera);
+    let found =
+        |frames: f64, number: &dyn Fn(u32, u32) -> u32, range: &dyn Fn(u32) -> Range<u32>| {
+            let pair = numbered_rig(&weaving, &late(frames), number, range);
+            (pair.clock_state, pair.clock.offset_s / NUMBERED_FRAME_S)
+        };
+    for frames in [0.3, -7.4, 1.1] {
+        let (state, offset) = found(frames, &plain, &all);
+        assert_eq!(state, ClockState::Estimated, "{frames}");
+        assert!((offset - frames).abs() < MAX_OFFSET_FRAMES, "{offset} of {frames}");
+    }
+    // Numbered from another begin each.
+    let (state, offset) = found(0.3, &|camera, k| k + 500 * camera, &all);
+    assert_eq!(state, ClockState::Estimated);
+    assert!((offset + 500.0 - 0.3).abs() < MAX_OFFSET_FRAMES, "{offset}");
+    // Triggered together, and started one after the other.
+    let (state, offset) = found(12.0, &plain, &all);
+    assert_eq!((state, offset.round()), (ClockState::Synchronised, 12.0));
+    assert!((offset - offset.round()).abs() < 1e-9, "{offset}");
+    // Every second number counts no frames.
+    assert_eq!(found(0.3, &|_, k| 2 * k, &all), (ClockState::Synchronised, 0.0));
+}
+
+/// Also where few images have a pose in both cameras, and where the vehicle moves in the same way
+/// all the time, so that any offset gives one relative pose.
+#[test]
+fn the_same_number_is_the_same_instant_unless_the_motion_contradicts() {
+    let together = |vehicle: &dyn Fn(f64) -> Rigid3, range: &dyn Fn(u32) -> Range<u32>| {
+        let pair = numbered_rig(vehicle, &|_, k| f64::from(k), &|_, k| k, range);
+        assert_eq!((pair.clock_state, pair.clock), (ClockState::Synchronised, Clock::default()));
+    };
+    let all = |_: u32| 0..100;
+    together(&weaving, &all);
+    together(&weaving, &|camera| if camera == 0 { 0..60 } else { 45..100 });
+    together(&weaving, &|camera| if camera == 0 { 0..40 } else { 60..100 });
+    let turntable = |time_s: f64| {
+        let rotation = so3::exp(&(Vector3::y() * 0.06 * time_s));
+        Rigid3::new(rotation, Vector3::new(0.0, 0.0, 3.0))
+    };
+    together(&turntable, &all);
+    let standing = |_: f64| Rigid3::identity();
+    together(&standing, &all);
+    // A multi-camera rig that is carried from one place to the next.
+    let jumping = |time_s: f64| {
+        let mut rng = Rng::stream(5, &[time_s as u64]);
+        let mut any = || Vector3::new(rng.normal(), rng.normal(), rng.normal());
+        Rigid3::new(so3::exp(&any()), any() * 5.0)
+    };
+    together(&jumping, &all);
 }
 
 /// On a straight road at constant speed, a clock offset is equivalent to a translation of the
