@@ -19,6 +19,10 @@ use crate::{RelativePose, Trajectory};
 
 /// Largest offset of clocks that were set by hand, in seconds.
 const MAX_OFFSET_S: f64 = 1.5;
+/// Least increase of the log-likelihood, over all offsets more than an interval away, of an offset
+/// beyond it. As much as an offset needs over none (`MIN_GAIN` in `tiepoint-sfm`). Half and double
+/// were not tried.
+const MIN_GAIN_BEYOND: f64 = 10.0;
 /// Clocks count as set by hand if the drives overlap by this fraction of the shorter one.
 const MIN_OVERLAP: f64 = 0.5;
 /// Steps of the grid search per image interval.
@@ -49,8 +53,8 @@ pub struct OffsetEstimate {
     /// The same, infinite only if fewer than six images can be compared without an offset.
     pub gain_at_any_overlap: f64,
     /// The same over the best offset that is more than an interval between images away; infinite
-    /// if there is none. Small where the cameras move in the same way all the time, as around a
-    /// turntable.
+    /// if there is none, and zero at an end of the offsets at which enough images can be compared.
+    /// Small where the cameras move in the same way all the time, as around a turntable.
     pub gain_apart: f64,
     /// Standard deviation from the curvature of the log-likelihood, in seconds, as if images were
     /// independent.
@@ -58,19 +62,22 @@ pub struct OffsetEstimate {
 }
 
 /// Searches the time offset of the camera `other`, given as pairs of time in seconds and
-/// `cam_from_world`, to the reference camera. The range is
-/// ±1.5 s if the drives overlap on their clocks, else all offsets at which half of the shorter
+/// `cam_from_world`, to the reference camera. The range is ±1.5 s if the drives overlap on their
+/// clocks, unless the motion tells one offset beyond; else all offsets at which half of the shorter
 /// drive overlaps. `None` if too few images can be compared.
 pub fn find_offset(reference: &Trajectory, other: &[(f64, Rigid3)]) -> Option<OffsetEstimate> {
     let (first, last) = (*reference.times_s().first()?, *reference.times_s().last()?);
     let (other_first, other_last) = (other.first()?.0, other.last()?.0);
     let shorter_s = (last - first).min(other_last - other_first);
     let overlap_s = last.min(other_last) - first.max(other_first);
-    if overlap_s > MIN_OVERLAP * shorter_s {
-        find_within(reference, other, [-MAX_OFFSET_S, MAX_OFFSET_S])
-    } else {
-        find_unrelated_offset(reference, other)
+    let any = find_unrelated_offset(reference, other);
+    if overlap_s <= MIN_OVERLAP * shorter_s {
+        return any;
     }
+    let is_beyond = |found: &OffsetEstimate| {
+        found.offset_s.abs() > MAX_OFFSET_S && found.gain_apart >= MIN_GAIN_BEYOND
+    };
+    any.filter(is_beyond).or_else(|| find_within(reference, other, [-MAX_OFFSET_S, MAX_OFFSET_S]))
 }
 
 /// [`find_offset`] for clocks that have nothing in common: among all offsets at which half of the
@@ -130,6 +137,8 @@ fn find_within(
     let h = 0.1 * step_s;
     let curvature = count * (cost(offset_s - h) - 2.0 * best + cost(offset_s + h)) / (h * h);
     let sd_s = if curvature > 0.0 { (1.0 / curvature).sqrt() } else { f64::INFINITY };
+    // At an end of the range, the right offset may be beyond it.
+    let is_inside = [-step_s, step_s].iter().all(|step_s| cost(coarse_s + step_s).is_finite());
     let is_apart = |(_, other_s): &&(f64, f64)| (other_s - offset_s).abs() > reference.interval_s();
     let apart = grid.iter().filter(is_apart).map(|(cost, _)| *cost).fold(f64::INFINITY, f64::min);
     // Where few images overlap, zero is no candidate, but it may be right.
@@ -142,7 +151,7 @@ fn find_within(
         offset_s,
         gain: count * (cost(0.0) - best),
         gain_at_any_overlap: count * (at_zero - best),
-        gain_apart: count * (apart - best),
+        gain_apart: if is_inside { count * (apart - best) } else { 0.0 },
         sd_s,
     })
 }

@@ -9,7 +9,7 @@ use tiepoint_scene::{Camera, Image, Reconstruction};
 use tiepoint_sfm::adjust::RefineIntrinsics;
 use tiepoint_sfm::rig::Clock;
 use tiepoint_sfm::rigs::{
-    CalibratedCamera, ClockState, NUMBERED_FRAME_S, RigConstraint, SensorPair, sensor_pairs,
+    CalibratedCamera, ClockState, NUMBERED_FRAME_S, RigConstraint, sensor_pairs,
 };
 use tiepoint_sfm::{MappedModel, Mapper, MapperOptions, RigMode};
 use tiepoint_synth::LensField;
@@ -208,12 +208,12 @@ fn synchronised_cameras_become_rigid_frames() {
 /// Two cameras on a rig, half a metre apart, whose images have numbers and no times. Image k of
 /// camera c has the pose of the vehicle at `time(c, k)`, with noise, and the number
 /// `number(c, k)`; those in `range(c)` have a pose.
-fn numbered_rig(
+fn numbered_model(
     vehicle: &dyn Fn(f64) -> Rigid3,
     time: &dyn Fn(u32, u32) -> f64,
     number: &dyn Fn(u32, u32) -> u32,
     range: &dyn Fn(u32) -> Range<u32>,
-) -> SensorPair {
+) -> Reconstruction {
     let mut rng = Rng::stream(3, &[]);
     let mut model = Reconstruction::default();
     for camera in 0..2 {
@@ -232,7 +232,7 @@ fn numbered_rig(
             }
         }
     }
-    sensor_pairs(&model)[0]
+    model
 }
 
 /// Noise of a pose of a reconstruction.
@@ -240,9 +240,9 @@ const NOISE_M: f64 = 0.003;
 /// Tolerance of an offset from these poses, in frames.
 const MAX_OFFSET_FRAMES: f64 = 0.05;
 
-/// The vehicle weaves and changes its speed. A second is a frame.
+/// The vehicle weaves and changes its speed, never in the same way twice. A second is a frame.
 fn weaving(time_s: f64) -> Rigid3 {
-    let turn = Vector3::y() * 0.4 * (0.2 * time_s).sin();
+    let turn = Vector3::y() * (0.3 * (0.2 * time_s).sin() + 0.2 * (0.137 * time_s + 1.0).sin());
     let along = 0.8 * time_s + 1.5 * (0.13 * time_s).sin();
     let centre = Vector3::new(2.0 * (0.09 * time_s).sin(), 0.0, along);
     let rotation = so3::exp(&turn);
@@ -256,7 +256,7 @@ fn numbered_frames_have_an_offset_in_frames() {
     let late = |frames: f64| move |camera: u32, k: u32| f64::from(k) + frames * f64::from(camera);
     let found =
         |frames: f64, number: &dyn Fn(u32, u32) -> u32, range: &dyn Fn(u32) -> Range<u32>| {
-            let pair = numbered_rig(&weaving, &late(frames), number, range);
+            let pair = sensor_pairs(&numbered_model(&weaving, &late(frames), number, range))[0];
             (pair.clock_state, pair.clock.offset_s / NUMBERED_FRAME_S)
         };
     for frames in [0.3, -7.4, 1.1] {
@@ -276,12 +276,34 @@ fn numbered_frames_have_an_offset_in_frames() {
     assert_eq!(found(0.3, &|_, k| 2 * k, &all), (ClockState::Synchronised, 0.0));
 }
 
+/// Clocks that were not set may be many seconds apart, though the recordings overlap.
+#[test]
+fn clocks_are_far_apart_if_the_motion_says_so() {
+    let interval_s = 0.1;
+    for late_s in [0.13, -3.27, 3.61] {
+        let plain = |_: u32, k: u32| k;
+        let mut model = numbered_model(
+            &weaving,
+            &|camera, k| f64::from(k) + late_s / interval_s * f64::from(camera),
+            &plain,
+            &|_| 0..100,
+        );
+        let images: Vec<_> = model.images().map(|(id, _)| id).collect();
+        for (at, id) in images.into_iter().enumerate() {
+            model.set_time(id, Some(interval_s * (at % 100) as f64));
+        }
+        let found = sensor_pairs(&model)[0].clock.offset_s;
+        assert!((found - late_s).abs() < MAX_OFFSET_FRAMES * interval_s, "{found} of {late_s}");
+    }
+}
+
 /// Also where few images have a pose in both cameras, and where the vehicle moves in the same way
 /// all the time, so that any offset gives one relative pose.
 #[test]
 fn the_same_number_is_the_same_instant_unless_the_motion_contradicts() {
     let together = |vehicle: &dyn Fn(f64) -> Rigid3, range: &dyn Fn(u32) -> Range<u32>| {
-        let pair = numbered_rig(vehicle, &|_, k| f64::from(k), &|_, k| k, range);
+        let model = numbered_model(vehicle, &|_, k| f64::from(k), &|_, k| k, range);
+        let pair = sensor_pairs(&model)[0];
         assert_eq!((pair.clock_state, pair.clock), (ClockState::Synchronised, Clock::default()));
     };
     let all = |_: u32| 0..100;
