@@ -61,12 +61,13 @@ def compare_rig(found, true, metres_per_unit):
     t = np.array(found["translation"]) * metres_per_unit
     true_t = np.array([true[f"rig_t{a}"] for a in "xyz"])
     clock = found["clock"]
-    if "assumed_frame_s" in clock:
-        raise SystemExit("frames without times have no offset in seconds: give their times")
     pivot = clock["pivot_s"]
     offset_ms = 1e3 * (
         pivot + clock["offset_s"] - (pivot - true["clock_offset_s"]) / (1 + true["clock_drift"])
     )
+    # Of numbered frames without times, the offset is not in seconds.
+    if "assumed_frame_s" in clock:
+        offset_ms = float("nan")
     drift_ppm = clock["drift_ppm"] - 1e6 * (1 / (1 + true["clock_drift"]) - 1)
     sd_ms = 1e3 * (clock["offset_sd_s"] or float("nan"))
     return {
@@ -278,11 +279,11 @@ def main():
                     else:
                         length = np.linalg.norm(camera["translation"]) * evaluation["scale"]
                         clock = camera["clock"]
+                        unit_ms = float("nan") if "assumed_frame_s" in clock else 1e3
                         errors[name] = {
                             "length_m": length,
-                            "offset_ms": 1e3 * clock["offset_s"],
-                            "assumed_frame_s": clock.get("assumed_frame_s"),
-                            "offset_sd_ms": 1e3 * (clock["offset_sd_s"] or float("nan")),
+                            "offset_ms": unit_ms * clock["offset_s"],
+                            "offset_sd_ms": unit_ms * (clock["offset_sd_s"] or float("nan")),
                             "clock_state": clock["state"],
                         }
             if "report" in report:

@@ -240,8 +240,8 @@ def rig_errors(workspace, window, scale):
                 if camera["covariance"]
                 else None,
                 "length_ratio": length / np.linalg.norm([truth[f"rig_t{axis}"] for axis in "xyz"]),
-                "offset_s": offset,
-                # Of numbered frames without times, the offset is none in seconds.
+                # Of numbered frames without times, the offset is not in seconds.
+                "offset_s": None if "assumed_frame_s" in clock else offset,
                 "offset_sd_s": None if "assumed_frame_s" in clock else clock["offset_sd_s"],
             }
         )

@@ -11,7 +11,8 @@ const MAX_PARALLEL: usize = 8;
 /// images or more.
 const MIN_ORDERED: f64 = 0.5;
 /// The most similar ones are at most this share of the images of a camera, of fewer than 20 images
-/// the most similar two: those before and after.
+/// the most similar two: those before and after. The share is that of 20 of 200 images, below which
+/// all pairs were matched; half and double were not tried.
 const MAX_REACH: f64 = 0.1;
 const MIN_REACH: usize = 2;
 /// Of few images, times show a recording if they are less apart, in seconds: nobody takes photos by
@@ -49,11 +50,12 @@ pub struct AutoPairs {
 }
 
 impl AutoPairs {
-    /// Of so many images all pairs are matched, but for recordings: 19,900 pairs, minutes on a few
-    /// cores. 100 images have a quarter of these pairs, 400 four times as many.
-    pub const MAX_EXHAUSTIVE: usize = 200;
-    /// Of so many images all pairs are matched: neighbours and loops of a recording would be as
+    /// Largest number of images of which all pairs are matched unless they are recordings: 19,900
+    /// pairs, minutes on a few cores. 100 images have a quarter of these pairs, 400 four times as
     /// many.
+    pub const MAX_EXHAUSTIVE: usize = 200;
+    /// Largest number of images of which all pairs are matched: the neighbours and loops of a
+    /// recording would be as many.
     pub const MAX_ALWAYS_EXHAUSTIVE: usize = 2 * (Self::OVERLAP as usize + Self::NUM_LOOP_IMAGES);
     /// Number of neighbours before and after an image of a sequence: the default overlap of
     /// COLMAP's sequential matcher. The time of matching is proportional to it; similar images

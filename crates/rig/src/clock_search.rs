@@ -19,10 +19,6 @@ use crate::{RelativePose, Trajectory};
 
 /// Largest offset of clocks that were set by hand, in seconds.
 const MAX_OFFSET_S: f64 = 1.5;
-/// Least increase of the log-likelihood, over all offsets more than an interval away, of an offset
-/// beyond it. As much as an offset needs over none (`MIN_GAIN` in `tiepoint-sfm`). Half and double
-/// were not tried.
-const MIN_GAIN_BEYOND: f64 = 10.0;
 /// Clocks count as set by hand if the drives overlap by this fraction of the shorter one.
 const MIN_OVERLAP: f64 = 0.5;
 /// Steps of the grid search per image interval.
@@ -61,6 +57,13 @@ pub struct OffsetEstimate {
     pub sd_s: f64,
 }
 
+impl OffsetEstimate {
+    /// Least gain that counts. It is far above the level of chance, because errors of neighbouring
+    /// poses are correlated. Half and double were not tried for numbers of frames, and for clocks
+    /// more than 1.5 s apart.
+    pub const MIN_GAIN: f64 = 10.0;
+}
+
 /// Searches the time offset of the camera `other`, given as pairs of time in seconds and
 /// `cam_from_world`, to the reference camera. The range is ±1.5 s if the drives overlap on their
 /// clocks, unless the motion tells one offset beyond; else all offsets at which half of the shorter
@@ -75,7 +78,7 @@ pub fn find_offset(reference: &Trajectory, other: &[(f64, Rigid3)]) -> Option<Of
         return any;
     }
     let is_beyond = |found: &OffsetEstimate| {
-        found.offset_s.abs() > MAX_OFFSET_S && found.gain_apart >= MIN_GAIN_BEYOND
+        found.offset_s.abs() > MAX_OFFSET_S && found.gain_apart >= OffsetEstimate::MIN_GAIN
     };
     any.filter(is_beyond).or_else(|| find_within(reference, other, [-MAX_OFFSET_S, MAX_OFFSET_S]))
 }
@@ -137,20 +140,20 @@ fn find_within(
     let h = 0.1 * step_s;
     let curvature = count * (cost(offset_s - h) - 2.0 * best + cost(offset_s + h)) / (h * h);
     let sd_s = if curvature > 0.0 { (1.0 / curvature).sqrt() } else { f64::INFINITY };
-    // At an end of the range, the right offset may be beyond it.
+    // At an end of the offsets that compare enough images, the right one may be beyond it.
     let is_inside = [-step_s, step_s].iter().all(|step_s| cost(coarse_s + step_s).is_finite());
     let is_apart = |(_, other_s): &&(f64, f64)| (other_s - offset_s).abs() > reference.interval_s();
     let apart = grid.iter().filter(is_apart).map(|(cost, _)| *cost).fold(f64::INFINITY, f64::min);
-    // Where few images overlap, zero is no candidate, but it may be right.
     let at_zero = Samples::at(reference, &other, 0.0);
-    let at_zero = match at_zero.len() >= MIN_IMAGES {
-        true => at_zero.cost(scales),
-        false => f64::INFINITY,
+    let gain_over_zero = |min_images: usize| {
+        let is_comparable = at_zero.len() >= min_images;
+        count * (if is_comparable { at_zero.cost(scales) } else { f64::INFINITY } - best)
     };
     Some(OffsetEstimate {
         offset_s,
-        gain: count * (cost(0.0) - best),
-        gain_at_any_overlap: count * (at_zero - best),
+        gain: gain_over_zero(min_images),
+        // Where few images overlap, zero is no candidate, but it may be right.
+        gain_at_any_overlap: gain_over_zero(MIN_IMAGES),
         gain_apart: if is_inside { count * (apart - best) } else { 0.0 },
         sd_s,
     })

@@ -112,6 +112,7 @@ fn poses_at_clock(
     (is_left || names[1] == rig.reference).then_some(())?;
     let camera = rig.cameras.iter().find(|camera| camera.name == *name)?;
     let clock = camera.clock.clock();
+    // Numbers of frames are scaled to the seconds that the clock counts, and back.
     let unit_s = camera.clock.assumed_frame_s.unwrap_or(1.0);
     let sensor_pair = SensorPair {
         clock,

@@ -68,7 +68,7 @@ fn extrinsics_lines(pose: &Rigid3, camera: &RigCamera) -> String {
         let numbers: Vec<String> = row.iter().map(f64::to_string).collect();
         let _ = writeln!(text, "  - [{}]", numbers.join(", "));
     }
-    // In frames, it is no time.
+    // An offset in frames is no time.
     if camera.clock.assumed_frame_s.is_none() {
         let _ = writeln!(text, "  timeshift_cam0: {}", camera.clock.offset_s);
     }

@@ -907,10 +907,10 @@ fn require_synchronous_images(
     scene: &Reconstruction,
     mode: RigMode,
 ) -> Result<(), Error> {
-    let is_timed =
+    let has_times =
         rig_candidates(scene).len() > 1 && scene.images().all(|(_, i)| i.time_s.is_some());
-    let has_times = mode != RigMode::Paper && (is_timed || have_numbered_frames(scene));
-    if has_times || rig_pairs(scene).iter().any(|rig| rig.pairs.len() >= 2) {
+    let has_clocks = mode != RigMode::Paper && (has_times || have_numbered_frames(scene));
+    if has_clocks || rig_pairs(scene).iter().any(|rig| rig.pairs.len() >= 2) {
         return Ok(());
     }
     let path = workspace.root().to_owned();

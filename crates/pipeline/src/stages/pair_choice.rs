@@ -62,9 +62,9 @@ pub fn choose_pairs(
     found
 }
 
-/// The selection without [`PairSelection::Auto`] where that is all pairs of any images. `recorded`
-/// is the selection in the record of an earlier run: if it has matched all pairs, those that
-/// `auto` would choose are among them.
+/// The selection, with [`PairSelection::Exhaustive`] for [`PairSelection::Auto`] where that is all
+/// pairs whatever the images are. `recorded` is the selection in the record of an earlier run: if
+/// it has matched all pairs, those that `auto` would choose are among them.
 pub(crate) fn resolved(
     selection: PairSelection,
     images: usize,
@@ -131,10 +131,8 @@ fn automatic(
     let in_order: usize = of_sequences.map(|(camera, _)| camera.sequence.len()).sum();
     let sequential =
         format!("sequential:{}+loops:{}", AutoPairs::OVERLAP, AutoPairs::NUM_LOOP_IMAGES);
-    let of_others = match is_few {
-        true => exhaustive,
-        false => format!("similar:{}", AutoPairs::NUM_SIMILAR_IMAGES),
-    };
+    let of_others =
+        if is_few { exhaustive } else { format!("similar:{}", AutoPairs::NUM_SIMILAR_IMAGES) };
     let selection = match images.len() - in_order {
         0 => sequential,
         others if others == images.len() => of_others,

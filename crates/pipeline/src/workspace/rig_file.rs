@@ -137,9 +137,10 @@ pub struct RigClock {
     pub drift_sd_ppm: Option<f64>,
     /// Mid-time of this camera's images, on its own clock, in seconds.
     pub pivot_s: f64,
-    /// Where images have no times and their frames are numbered: how many seconds a frame counts
-    /// for. Times are numbers of frames times this, which are seconds at that frame rate alone. The
-    /// key is absent where images have times, and where images of one number count as simultaneous.
+    /// Where images have no times and their frames are numbered: the assumed interval between two
+    /// frames, in seconds. The time of a frame is its number times this interval, so that the
+    /// offset is in seconds only if the interval is true. The key is absent where images have
+    /// times, and where images of one number count as simultaneous.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub assumed_frame_s: Option<f64>,
 }

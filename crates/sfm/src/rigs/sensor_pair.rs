@@ -14,8 +14,8 @@ use tiepoint_geometry::Rigid3;
 use tiepoint_geometry::nalgebra::{SMatrix, Vector3};
 use tiepoint_geometry::numeric::median;
 use tiepoint_rig::{
-    Clock, InterpolatedExtrinsics, RelativePose, SynchronousExtrinsics, Trajectory, find_offset,
-    find_unrelated_offset, interval_s, scaled_motion, timestamp_jitter_s,
+    Clock, InterpolatedExtrinsics, OffsetEstimate, RelativePose, SynchronousExtrinsics, Trajectory,
+    find_offset, find_unrelated_offset, interval_s, scaled_motion, timestamp_jitter_s,
 };
 use tiepoint_scene::{CameraId, ImageId, Reconstruction};
 
@@ -172,9 +172,6 @@ impl SensorPair {
     }
 }
 
-/// Minimum log-likelihood gain of an estimated offset over the time stamps. The value is far above
-/// the level of chance, because errors of neighbouring poses are correlated.
-const MIN_GAIN: f64 = 10.0;
 /// Maximum standard deviation, in seconds, of an offset that the motion determines. Above it the
 /// time stamps are used unless the motion contradicts them: at constant speed small lens biases
 /// change the trajectory by more than the noise of the keypoints predicts.
@@ -238,7 +235,7 @@ pub fn sensor_pairs(model: &Reconstruction) -> Vec<SensorPair> {
                 return Some(sensor_pair(clock(0.0), ClockState::Synchronised));
             };
             // The offset is zero unless the gain is significant.
-            let is_zero = found.gain < MIN_GAIN;
+            let is_zero = found.gain < OffsetEstimate::MIN_GAIN;
             let offset_s = if is_zero { 0.0 } else { found.offset_s };
             let tolerance_s =
                 (MAX_DEVIATIONS * found.sd_s).min(MAX_PHASE * references.interval_s());
@@ -269,11 +266,11 @@ pub fn have_numbered_frames(scene: &Reconstruction) -> bool {
     timelines.any(|timelines| timelines.are_numbers)
 }
 
-/// Offset between the numbers of frames of two cameras, which were numbered each for itself; `None`
-/// unless the motion contradicts that the same number means the same instant, and tells one offset.
-/// It is a whole number of frames, of cameras that are triggered together, unless the motion
-/// contradicts that, too. `have_common`: whether there are images of the same number. If few of
-/// them have a pose, nothing contradicts.
+/// Offset between the frame numbers of two cameras, each of which was numbered on its own; `None`
+/// if the same number means the same instant, which holds unless the motion determines one other
+/// offset. A whole number of frames is the offset of cameras that are triggered together.
+/// `have_common`: whether the ranges of the numbers overlap. If few of the images in both ranges
+/// have a pose, nothing contradicts that they are of one instant.
 fn offset_of_numbers(
     references: &Trajectory,
     others: &[(f64, Rigid3)],
@@ -281,12 +278,12 @@ fn offset_of_numbers(
 ) -> Option<(f64, ClockState)> {
     let found = find_unrelated_offset(references, others)?;
     let gain = found.gain_at_any_overlap;
-    if gain.min(found.gain_apart) < MIN_GAIN || have_common && gain.is_infinite() {
+    if gain.min(found.gain_apart) < OffsetEstimate::MIN_GAIN || have_common && gain.is_infinite() {
         return None;
     }
     let whole_s = NUMBERED_FRAME_S * (found.offset_s / NUMBERED_FRAME_S).round();
     // What moves the log-likelihood by less than the gain that an offset needs.
-    let tolerance_s = (2.0 * MIN_GAIN).sqrt() * found.sd_s;
+    let tolerance_s = (2.0 * OffsetEstimate::MIN_GAIN).sqrt() * found.sd_s;
     if (found.offset_s - whole_s).abs() > tolerance_s.min(MAX_PHASE * NUMBERED_FRAME_S) {
         return Some((found.offset_s, ClockState::Estimated));
     }

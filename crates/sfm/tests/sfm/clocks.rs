@@ -5,7 +5,7 @@ use std::ops::Range;
 
 use tiepoint_geometry::nalgebra::Vector3;
 use tiepoint_geometry::{CameraModelKind, Intrinsics, Rigid3, Rng, so3};
-use tiepoint_scene::{Camera, Image, Reconstruction};
+use tiepoint_scene::{Camera, Image, ImageId, Reconstruction};
 use tiepoint_sfm::adjust::RefineIntrinsics;
 use tiepoint_sfm::rig::Clock;
 use tiepoint_sfm::rigs::{
@@ -214,22 +214,42 @@ fn numbered_model(
     number: &dyn Fn(u32, u32) -> u32,
     range: &dyn Fn(u32) -> Range<u32>,
 ) -> Reconstruction {
-    let mut rng = Rng::stream(3, &[]);
+    let pose = |camera: u32, k: u32| {
+        let cam_from_rig =
+            Rigid3::new(so3::exp(&Vector3::zeros()), -Vector3::x() * 0.5 * f64::from(camera));
+        cam_from_rig * vehicle(time(camera, k))
+    };
+    let mut model = two_cameras(3, 100, NOISE_M, number, &pose);
+    let images: Vec<ImageId> = model.images().map(|(id, _)| id).collect();
+    for (at, image) in (0..).zip(images) {
+        if !range(at / 100).contains(&(at % 100)) {
+            model.deregister(image);
+        }
+    }
+    model
+}
+
+/// Two cameras of `num_images` images each, with names `c/NNN.png` from `number(c, k)` and noisy
+/// poses. The images of camera 0 come first.
+fn two_cameras(
+    seed: u64,
+    num_images: u32,
+    noise_m: f64,
+    number: &dyn Fn(u32, u32) -> u32,
+    pose: &dyn Fn(u32, u32) -> Rigid3,
+) -> Reconstruction {
+    let mut rng = Rng::stream(seed, &[]);
     let mut model = Reconstruction::default();
     for camera in 0..2 {
         let intrinsics = Intrinsics::centred(CameraModelKind::SimplePinhole, 500.0, 640, 480);
         let id =
             model.add_camera(Camera { intrinsics, width: 640, height: 480, has_focal_prior: true });
-        for k in 0..100 {
+        for k in 0..num_images {
             let name = format!("{camera}/{:03}.png", number(camera, k));
             let image = model.add_image(Image::new(name, id, Vec::new()));
-            let cam_from_rig =
-                Rigid3::new(so3::exp(&Vector3::zeros()), -Vector3::x() * 0.5 * f64::from(camera));
-            let mut pose = cam_from_rig * vehicle(time(camera, k));
-            pose.translation += Vector3::new(rng.normal(), rng.normal(), rng.normal()) * NOISE_M;
-            if range(camera).contains(&k) {
-                model.register(image, pose);
-            }
+            let mut pose = pose(camera, k);
+            pose.translation += Vector3::new(rng.normal(), rng.normal(), rng.normal()) * noise_m;
+            model.register(image, pose);
         }
     }
     model
@@ -330,25 +350,16 @@ fn the_same_number_is_the_same_instant_unless_the_motion_contradicts() {
 /// camera along the road. The offset is unobservable, and the time stamps are used.
 #[test]
 fn an_unobservable_clock_follows_its_time_stamps() {
-    let at = |camera: u32, time_s: f64| {
-        let place = Vector3::new(0.5 * f64::from(camera), 0.0, 8.0 * time_s);
+    let time_s = |camera: u32, k: u32| 0.2 * f64::from(k) + 0.07 * f64::from(camera);
+    let pose = |camera: u32, k: u32| {
+        let place = Vector3::new(0.5 * f64::from(camera), 0.0, 8.0 * time_s(camera, k));
         Rigid3::new(so3::exp(&Vector3::zeros()), -place)
     };
     // Noise as in a reconstruction.
-    let mut rng = Rng::stream(1, &[]);
-    let mut model = Reconstruction::default();
-    for camera in 0..2 {
-        let intrinsics = Intrinsics::centred(CameraModelKind::SimplePinhole, 500.0, 640, 480);
-        let id =
-            model.add_camera(Camera { intrinsics, width: 640, height: 480, has_focal_prior: true });
-        for k in 0..40 {
-            let time_s = 0.2 * f64::from(k) + 0.07 * f64::from(camera);
-            let image = model.add_image(Image::new(format!("{camera}/{k:03}.png"), id, Vec::new()));
-            let mut pose = at(camera, time_s);
-            pose.translation += Vector3::new(rng.normal(), rng.normal(), rng.normal()) * 0.01;
-            model.set_time(image, Some(time_s));
-            model.register(image, pose);
-        }
+    let mut model = two_cameras(1, 40, 0.01, &|_, k| k, &pose);
+    let images: Vec<ImageId> = model.images().map(|(id, _)| id).collect();
+    for (at, image) in (0..).zip(images) {
+        model.set_time(image, Some(time_s(at / 40, at % 40)));
     }
     let found = sensor_pairs(&model);
     assert_eq!(
