@@ -83,6 +83,26 @@ pub(crate) fn two_timelines(
     Some(TwoTimelines { references, others, are_numbers: true })
 }
 
+/// Images with the same number, of each two streams without times whose numbers count frames.
+pub(crate) fn same_numbers(scene: &Reconstruction) -> Vec<Vec<[ImageId; 2]>> {
+    let mut streams: BTreeMap<&str, Vec<ImageId>> = BTreeMap::new();
+    for (id, image) in scene.images() {
+        streams.entry(&image.stream).or_default().push(id);
+    }
+    let is_untimed =
+        |images: &&Vec<ImageId>| images.iter().all(|id| scene.image(*id).time_s.is_none());
+    let numbers = streams.values().filter(is_untimed).filter_map(|images| numbered(scene, images));
+    // Products of integers and one constant: equal numbers have equal bits.
+    let numbers: Vec<BTreeMap<u64, ImageId>> = numbers
+        .map(|images| images.into_iter().map(|(number, id)| (number.to_bits(), id)).collect())
+        .collect();
+    let common = |one: &BTreeMap<u64, ImageId>, other: &BTreeMap<u64, ImageId>| {
+        one.iter().filter_map(|(number, id)| Some([*id, *other.get(number)?])).collect()
+    };
+    let of = |(k, one)| numbers[..k].iter().map(move |other| common(one, other));
+    numbers.iter().enumerate().flat_map(of).collect()
+}
+
 /// Images of one stream with numbers that count frames: most are followed by the next number.
 fn numbered(scene: &Reconstruction, images: &[ImageId]) -> Option<Vec<(f64, ImageId)>> {
     let stream = &scene.image(*images.first()?).stream;
@@ -148,4 +168,55 @@ const USUAL_QUANTILE: f64 = 0.9;
 pub(crate) fn usual(mut values: Vec<f64>) -> Option<f64> {
     values.sort_by(f64::total_cmp);
     values.get((USUAL_QUANTILE * values.len().saturating_sub(1) as f64) as usize).copied()
+}
+
+#[cfg(test)]
+mod tests {
+    use tiepoint_geometry::{CameraModelKind, Intrinsics};
+    use tiepoint_scene::{Camera, Image};
+
+    use super::*;
+
+    const FRAMES: usize = 20;
+
+    /// Folders of frames, one camera each, with the numbers that `is_there` tells.
+    fn recorded(has_times: bool, is_there: impl Fn(usize, usize) -> bool) -> Reconstruction {
+        let mut scene = Reconstruction::default();
+        for (folder, stream) in ["left", "right"].into_iter().enumerate() {
+            let intrinsics = Intrinsics::centred(CameraModelKind::SimpleRadial, 500.0, 640, 480);
+            let camera = Camera { intrinsics, width: 640, height: 480, has_focal_prior: true };
+            let camera = scene.add_camera(camera);
+            for number in (0..4 * FRAMES).filter(|number| is_there(folder, *number)) {
+                let name = format!("{stream}/{number:06}.png");
+                let mut image = Image::new(name, camera, Vec::new());
+                image.time_s = has_times.then_some(number as f64);
+                scene.add_image(image);
+            }
+        }
+        scene
+    }
+
+    #[test]
+    fn images_with_the_same_number_are_found() {
+        let shifted = |has_times, shift: usize| {
+            recorded(has_times, move |folder, number| {
+                (folder * shift..folder * shift + FRAMES).contains(&number)
+            })
+        };
+        let num = |scene: &Reconstruction| -> Vec<usize> {
+            same_numbers(scene).iter().map(Vec::len).collect()
+        };
+        assert_eq!(num(&shifted(false, 0)), [FRAMES]);
+        let scene = shifted(false, 15);
+        assert_eq!(num(&scene), [FRAMES - 15]);
+        for [right, left] in &same_numbers(&scene)[0] {
+            let names = [right, left].map(|id| scene.image(*id).name.as_str());
+            assert_eq!(names[0].replace("right", "left"), names[1]);
+        }
+        assert!(num(&shifted(true, 0)).is_empty());
+        // Photos: every third number, and one folder alone.
+        assert!(num(&recorded(false, |_, number| number % 3 == 0)).is_empty());
+        let one_folder = recorded(false, |folder, number| folder == 0 && number < FRAMES);
+        assert!(num(&one_folder).is_empty());
+    }
 }

@@ -4,11 +4,12 @@
 //! group that is expected to observe it and does not; a point that a single image of a group
 //! observes, beside at least two of the other group, counts against it. With the probability r of
 //! finding a point in one place, and q of finding it in the other one, the logarithms of the
-//! likelihood ratios are ln((1 − q) / (1 − r)) and ln(r / q). What both groups observe is the part
-//! that looks alike in both places, and counts nothing.
+//! likelihood ratios are ln((1 − q) / (1 − r)) and ln(r / q). For a miss, r is that of the image:
+//! some find little anywhere. What both groups observe is the part that looks alike in both places,
+//! and counts nothing.
 //!
-//! A verified pair that contradicts the poses counts against a division that puts both images into
-//! one group: there, its poses would be right.
+//! Verified pairs that contradict the poses count nothing: they match different sides of what looks
+//! alike, of one place or of both.
 //!
 //! A point weighs as much as its surroundings, the cells of images it is expected in, are of one
 //! group alone: beside what looks alike, single points tell little.
@@ -24,6 +25,10 @@ pub(super) const FOUND_ELSEWHERE: f64 = 0.12;
 pub(super) const MIN_POINTS: usize = 5;
 /// Weight of a point that no image of the other group is expected to observe.
 const UNKNOWN_WEIGHT: f64 = 0.5;
+/// The share of its expected points that an image finds counts as if this many further ones were
+/// found as often as in the whole model. With half and double, four drawn models are divided with
+/// at most two photos in another group.
+const PRIOR_POINTS: f64 = 50.0;
 
 /// What is known of the points for divisions.
 pub(super) struct Points<'a> {
@@ -33,17 +38,17 @@ pub(super) struct Points<'a> {
     /// For each point the images that observe it, or are expected to and miss it.
     pub(super) of_tracks: Vec<Vec<(usize, bool)>>,
     pub(super) relations: &'a Relations,
-    /// For each image those of the verified pairs that contradict the poses.
-    pub(super) contradicting: Vec<Vec<usize>>,
-    ln_missed: f64,
+    /// For each image what a point that it misses counts.
+    ln_missed: Vec<f64>,
     ln_found: f64,
 }
 
-/// Observers and missing images of a point by group.
+/// By group, the number of observers of a point, and the sum over the images that miss it of what
+/// a miss of each counts.
 #[derive(Clone, Copy, Default)]
 pub(super) struct Counts {
     observers: [u32; 2],
-    missing: [u32; 2],
+    missing: [f64; 2],
 }
 
 impl<'a> Points<'a> {
@@ -61,45 +66,32 @@ impl<'a> Points<'a> {
         for (image, points) in of_images.iter().enumerate() {
             points.iter().for_each(|(track, observes)| of_tracks[*track].push((image, *observes)));
         }
-        let mut contradicting = vec![Vec::new(); of_images.len()];
-        for &(one, other) in &relations.contradictions {
-            contradicting[one].push(other);
-            contradicting[other].push(one);
-        }
-        let ln_missed = ((1.0 - FOUND_ELSEWHERE) / (1.0 - found).max(f64::EPSILON)).ln();
         let ln_found = (found / FOUND_ELSEWHERE).ln();
-        Some(Self {
-            expectations,
-            of_images,
-            of_tracks,
-            relations,
-            contradicting,
-            ln_missed,
-            ln_found,
-        })
+        let ln_missed = ln_missed(expectations, found);
+        Some(Self { expectations, of_images, of_tracks, relations, ln_missed, ln_found })
     }
 
     /// What a point says about a division.
     fn evidence(&self, counts: &Counts) -> f64 {
         let [first, second] = counts.observers;
-        match first.min(second) {
-            0 => self.ln_missed * f64::from(counts.missing[usize::from(second == 0)]),
-            1 if first.max(second) > 1 => -self.ln_found,
-            _ => 0.0,
+        match counts.side_that_misses() {
+            Some(side) => counts.missing[side],
+            None if first.min(second) == 1 && first.max(second) > 1 => -self.ln_found,
+            None => 0.0,
         }
     }
 
-    /// What a verified pair that contradicts the poses says against one group for both images: as
-    /// much as the fewest points of a cell that tells something. Not varied.
-    pub(super) fn weight_of_pair(&self) -> f64 {
-        MIN_POINTS as f64 * self.ln_found
+    /// The factor of [`Self::gains`] for an image: 1 if it observes the point, and else what a miss
+    /// of it counts.
+    pub(super) fn unit(&self, image: usize, observes: bool) -> f64 {
+        if observes { 1.0 } else { self.ln_missed[image] }
     }
 
     pub(super) fn counts(&self, sides: &[bool]) -> Vec<Counts> {
         let mut counts = vec![Counts::default(); self.expectations.observers.len()];
         for (image, points) in self.of_images.iter().enumerate() {
             for &(track, observes) in points {
-                counts[track].of(observes)[usize::from(sides[image])] += 1;
+                counts[track].add(observes, usize::from(sides[image]), self.unit(image, observes));
             }
         }
         counts
@@ -128,20 +120,24 @@ impl<'a> Points<'a> {
         sums.into_iter().map(mean).collect()
     }
 
-    /// What the move of an image changes in the evidence of a point: of one that misses the point
-    /// and one that observes it, from either group.
+    /// What the move of an image changes in the evidence of a point, in [units](Self::unit): of one
+    /// that misses the point and one that observes it, from either group.
     pub(super) fn gains(&self, counts: &Counts) -> [[f64; 2]; 2] {
         let before = self.evidence(counts);
-        [false, true].map(|observes| {
-            [0, 1].map(|from| {
-                let mut moved = *counts;
-                if moved.of(observes)[from] == 0 {
-                    return 0.0;
-                }
-                moved.move_image(observes, from);
-                self.evidence(&moved) - before
-            })
-        })
+        let missing = [0, 1].map(|from| match counts.side_that_misses() {
+            Some(side) if side == from => -1.0,
+            Some(_) => 1.0,
+            None => 0.0,
+        });
+        let observing = [0, 1].map(|from| {
+            let mut moved = *counts;
+            if moved.observers[from] == 0 {
+                return 0.0;
+            }
+            moved.move_image(true, from, 1.0);
+            self.evidence(&moved) - before
+        });
+        [missing, observing]
     }
 
     /// The sum of a division.
@@ -151,23 +147,49 @@ impl<'a> Points<'a> {
 
     pub(super) fn weighted_sum(&self, sides: &[bool], weights: &[f64]) -> f64 {
         let weighted = weights.iter().zip(self.counts(sides));
-        let of_points: f64 = weighted.map(|(weight, counts)| weight * self.evidence(&counts)).sum();
-        let pairs = self.relations.contradictions.iter();
-        let num_together = pairs.filter(|(one, other)| sides[*one] == sides[*other]).count();
-        of_points - num_together as f64 * self.weight_of_pair()
+        weighted.map(|(weight, counts)| weight * self.evidence(&counts)).sum()
     }
 }
 
 impl Counts {
-    fn of(&mut self, observes: bool) -> &mut [u32; 2] {
-        if observes { &mut self.observers } else { &mut self.missing }
+    /// The group whose misses speak for a division: the other one has all observers.
+    fn side_that_misses(&self) -> Option<usize> {
+        let [first, second] = self.observers;
+        (first.min(second) == 0).then_some(usize::from(second == 0))
+    }
+
+    fn add(&mut self, observes: bool, side: usize, unit: f64) {
+        if observes {
+            self.observers[side] += 1;
+        } else {
+            self.missing[side] += unit;
+        }
     }
 
     /// Moves an image that observes the point, or misses it, to the other group.
-    pub(super) fn move_image(&mut self, observes: bool, from: usize) {
-        let of = self.of(observes);
-        (of[from], of[1 - from]) = (of[from] - 1, of[1 - from] + 1);
+    pub(super) fn move_image(&mut self, observes: bool, from: usize, unit: f64) {
+        self.add(observes, 1 - from, unit);
+        if observes {
+            self.observers[from] -= 1;
+        } else {
+            self.missing[from] -= unit;
+        }
     }
+}
+
+/// ln((1 − q) / (1 − r)) for each image, at least 0, with the share r of its expected points that
+/// it finds; `found` is that of all images.
+fn ln_missed(expectations: &Expectations, found: f64) -> Vec<f64> {
+    let mut counts = vec![(PRIOR_POINTS, PRIOR_POINTS * found); expectations.images.len()];
+    for it in &expectations.expected {
+        let (num, num_found) = &mut counts[it.image];
+        (*num, *num_found) = (*num + 1.0, *num_found + f64::from(u8::from(it.is_found)));
+    }
+    let of = |(num, num_found): (f64, f64)| {
+        let missed = (1.0 - num_found / num).max(f64::EPSILON);
+        ((1.0 - FOUND_ELSEWHERE) / missed).ln().max(0.0)
+    };
+    counts.into_iter().map(of).collect()
 }
 
 /// Whether all images are in one group.
@@ -183,4 +205,48 @@ pub(super) fn is_across(expected: &Expected, sides: &[bool]) -> bool {
 /// Whether an image of the same group lets expect the point.
 pub(super) fn is_within(expected: &Expected, sides: &[bool]) -> bool {
     expected.witnesses.iter().any(|witness| sides[*witness] == sides[expected.image])
+}
+
+#[cfg(test)]
+mod tests {
+    use tiepoint_scene::ImageId;
+
+    use super::*;
+    use crate::register::duplicates::expected::MAX_WITNESSES;
+
+    const EXPECTED: usize = 1000;
+    /// Of a few roundings.
+    const TOLERANCE: f64 = 1e-12;
+
+    /// Of [`EXPECTED`] points an image finds `found`.
+    fn of_images(found: &[usize]) -> Vec<f64> {
+        let images = (0..found.len() as u32).map(ImageId).collect();
+        let of_image = |(image, found): (usize, &usize)| {
+            let found = *found;
+            (0..EXPECTED).map(move |track| Expected {
+                image,
+                track,
+                is_found: track < found,
+                witnesses: [image; MAX_WITNESSES],
+            })
+        };
+        let expected = found.iter().enumerate().flat_map(of_image).collect();
+        let expectations = Expectations { images, observers: Vec::new(), expected, cells: vec![] };
+        let rate = expectations.rate().expect("points are expected");
+        ln_missed(&expectations, rate)
+    }
+
+    #[test]
+    fn a_miss_of_an_image_that_finds_little_counts_little() {
+        let [none, few, most] = of_images(&[0, 300, 800])[..] else { unreachable!() };
+        // The share of an image counts, drawn to that of all by 50 points.
+        let of = |found: f64| {
+            let missed = 1.0 - (found + PRIOR_POINTS * 1100.0 / 3000.0) / (1000.0 + PRIOR_POINTS);
+            ((1.0 - FOUND_ELSEWHERE) / missed).ln()
+        };
+        assert_eq!(none, 0.0);
+        for (counts, found) in [(few, 300.0), (most, 800.0)] {
+            assert!((counts - of(found)).abs() < TOLERANCE, "{counts}");
+        }
+    }
 }

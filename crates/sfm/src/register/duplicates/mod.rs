@@ -9,15 +9,18 @@
 //! - there are enough parts of images in which a group sees nothing of what the other one sees, and
 //! - they are told apart from the rest: in between are few parts of which the groups share some
 //!   points, and
-//! - in the rest the groups find each other's points as often as their own.
+//! - in the rest the groups find each other's points about as often as their own.
 //!
 //! The last two exclude one place that has changed, or was photographed by different cameras or in
-//! different light: there, the groups find few of each other's points everywhere.
+//! different light: there, the groups find few of each other's points everywhere. A division
+//! between cameras that ride together is none either.
 
+mod connection;
 mod division;
 mod evidence;
 mod expected;
 mod moves;
+mod recording;
 mod relations;
 mod search;
 mod spectral;
@@ -27,9 +30,10 @@ use std::collections::BTreeSet;
 use tiepoint_scene::{CorrespondenceGraph, ImageId, ImagePair, Reconstruction};
 
 use crate::mapped_model::OtherPlace;
-use division::{FOUND_ELSEWHERE, is_across, is_within};
+pub(crate) use connection::find_each_other;
 use evidence::Evidence;
 use expected::Expectations;
+use recording::separates_cameras;
 use relations::Relations;
 
 /// The smaller of two places that the model holds as one; `None` if it holds one place. A group has
@@ -54,7 +58,11 @@ pub(crate) fn duplicate_place(
     }
     let is_smaller = |side: &bool| *side == (num_second == num_smaller);
     let images = expectations.images.iter().zip(&sides);
-    let images = images.filter(|(_, side)| is_smaller(side)).map(|(image, _)| *image).collect();
+    let images: BTreeSet<ImageId> =
+        images.filter(|(_, side)| is_smaller(side)).map(|(image, _)| *image).collect();
+    if separates_cameras(model, &images) {
+        return None;
+    }
     let contradictions = relations.contradictions.iter();
     let across = contradictions.filter(|(one, other)| sides[*one] != sides[*other]);
     let pair = |(one, other): &(usize, usize)| {
@@ -63,30 +71,15 @@ pub(crate) fn duplicate_place(
     Some(OtherPlace { images, connections: across.filter_map(pair).collect() })
 }
 
-/// Whether the images of a group and the other ones, where they look at the same, find the points
-/// of the others as one place lets expect rather than two: more often than the geometric mean of
-/// the two shares.
-pub(crate) fn find_each_other(
-    graph: &CorrespondenceGraph,
-    model: &Reconstruction,
-    group: &BTreeSet<ImageId>,
-) -> bool {
-    let expectations = Expectations::new(graph, model);
-    let sides: Vec<bool> = expectations.images.iter().map(|id| group.contains(id)).collect();
-    let [across, within] = [is_across, is_within].map(|is_of| {
-        let of = || expectations.expected.iter().filter(|it| is_of(it, &sides));
-        of().filter(|it| it.is_found).count() as f64 / of().count().max(1) as f64
-    });
-    across >= (FOUND_ELSEWHERE * within).sqrt()
-}
-
 #[cfg(test)]
 mod tests {
     use std::f64::consts::TAU;
 
     use tiepoint_geometry::nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector2, Vector3};
     use tiepoint_geometry::{CameraModelKind, Intrinsics, Rigid3, Rng};
-    use tiepoint_scene::{Camera, Image, Keypoint, Observation, Track, TwoView, TwoViewKind};
+    use tiepoint_scene::{
+        Camera, Image, ImageId, Keypoint, Observation, Track, TwoView, TwoViewKind,
+    };
 
     use super::*;
 
@@ -216,6 +209,8 @@ mod tests {
         };
         assert!(agree(&World { object: ONE, surroundings: ONE }));
         assert!(!agree(&World { object: TWO, surroundings: TWO }));
+        // A wrong connection: the images look at the same object, and beside it at two places.
+        assert!(!agree(&World { object: ONE, surroundings: TWO }));
     }
 
     #[test]
