@@ -1,15 +1,18 @@
-//! Whether two models that were joined are of one place: their images find each other's points.
+//! What connects two places that look alike, and whether two models that it joined are of one
+//! place: their images find each other's points.
 //!
 //! A wrong connection matches other sides of what looks alike. The images of both models then look
 //! at the same parts of it and find many points there, and miss everything beside it.
 
 use std::collections::BTreeSet;
 
-use tiepoint_scene::{CorrespondenceGraph, ImageId, Reconstruction};
+use rayon::prelude::*;
+use tiepoint_scene::{CorrespondenceGraph, ImageId, ImagePair, Reconstruction};
 
 use super::division::{FOUND_ELSEWHERE, MIN_POINTS, is_across, is_within};
 use super::expected::{Expectations, Expected};
 use crate::register::significance::ln_binomial_false_alarms;
+use crate::two_view::agreement;
 
 /// A cell with fewer found points than this share of those that are expected is poor. In one place
 /// half and more are found (0.52 to 0.77 of drawn collections), and of five expected points at most
@@ -21,6 +24,25 @@ const POOR: f64 = 1.0 / 3.0;
 /// right one 0.4 times. Half and double of the level decide the same, and half of the ratio.
 const MAX_POOR_RATIO: f64 = 2.0;
 const LEVEL: f64 = 0.01;
+
+/// The verified pairs between the images of a group and the other ones of which most matches
+/// disagree with the poses by more than `max_error_px`: one model of both places contradicts them.
+pub(super) fn connections(
+    graph: &CorrespondenceGraph,
+    model: &Reconstruction,
+    group: &BTreeSet<ImageId>,
+    max_error_px: f64,
+) -> BTreeSet<ImagePair> {
+    let is_contradicted = |pair: &ImagePair| {
+        let pose = |image| model.image(image).cam_from_world();
+        let (Some(a), Some(b)) = (pose(pair.a), pose(pair.b)) else { return false };
+        let agrees = agreement(graph, model, *pair, [a, b], max_error_px);
+        2 * agrees.num_agreeing < agrees.num_matches
+    };
+    let is_across = |pair: &&ImagePair| group.contains(&pair.a) != group.contains(&pair.b);
+    let across: Vec<ImagePair> = graph.pairs().keys().filter(is_across).copied().collect();
+    across.into_par_iter().filter(is_contradicted).collect()
+}
 
 /// Whether the images of a group and the other ones, where they look at the same, find the points
 /// of the others as one place lets expect rather than two: more often than the geometric mean of

@@ -15,7 +15,6 @@
 //! group alone: beside what looks alike, single points tell little.
 
 use super::expected::{Expectations, Expected};
-use super::relations::Relations;
 
 /// The probability q that a point is found by an image of another place: wrong matches that agree
 /// with the poses. Of pairs of photos of two identical houses, on twins-apart, seed 11
@@ -37,7 +36,8 @@ pub(super) struct Points<'a> {
     pub(super) of_images: Vec<Vec<(usize, bool)>>,
     /// For each point the images that observe it, or are expected to and miss it.
     pub(super) of_tracks: Vec<Vec<(usize, bool)>>,
-    pub(super) relations: &'a Relations,
+    /// For each image all images, the nearest first.
+    pub(super) nearest: &'a [Vec<usize>],
     /// For each image what a point that it misses counts.
     ln_missed: Vec<f64>,
     ln_found: f64,
@@ -53,7 +53,7 @@ pub(super) struct Counts {
 
 impl<'a> Points<'a> {
     /// `None` if points are found so rarely that a miss tells nothing.
-    pub(super) fn new(expectations: &'a Expectations, relations: &'a Relations) -> Option<Self> {
+    pub(super) fn new(expectations: &'a Expectations, nearest: &'a [Vec<usize>]) -> Option<Self> {
         let found = expectations.rate().filter(|rate| *rate > FOUND_ELSEWHERE)?;
         let mut of_images = vec![Vec::new(); expectations.images.len()];
         for (track, observers) in expectations.observers.iter().enumerate() {
@@ -68,7 +68,7 @@ impl<'a> Points<'a> {
         }
         let ln_found = (found / FOUND_ELSEWHERE).ln();
         let ln_missed = ln_missed(expectations, found);
-        Some(Self { expectations, of_images, of_tracks, relations, ln_missed, ln_found })
+        Some(Self { expectations, of_images, of_tracks, nearest, ln_missed, ln_found })
     }
 
     /// What a point says about a division.
@@ -83,7 +83,7 @@ impl<'a> Points<'a> {
 
     /// The factor of [`Self::gains`] for an image: 1 if it observes the point, and else what a miss
     /// of it counts.
-    pub(super) fn unit(&self, image: usize, observes: bool) -> f64 {
+    pub(super) fn factor(&self, image: usize, observes: bool) -> f64 {
         if observes { 1.0 } else { self.ln_missed[image] }
     }
 
@@ -91,7 +91,11 @@ impl<'a> Points<'a> {
         let mut counts = vec![Counts::default(); self.expectations.observers.len()];
         for (image, points) in self.of_images.iter().enumerate() {
             for &(track, observes) in points {
-                counts[track].add(observes, usize::from(sides[image]), self.unit(image, observes));
+                counts[track].add(
+                    observes,
+                    usize::from(sides[image]),
+                    self.factor(image, observes),
+                );
             }
         }
         counts
@@ -120,8 +124,9 @@ impl<'a> Points<'a> {
         sums.into_iter().map(mean).collect()
     }
 
-    /// What the move of an image changes in the evidence of a point, in [units](Self::unit): of one
-    /// that misses the point and one that observes it, from either group.
+    /// What the move of an image changes in the evidence of a point, but for the
+    /// [factor](Self::factor) of the image: of one that misses the point and one that observes it,
+    /// from either group.
     pub(super) fn gains(&self, counts: &Counts) -> [[f64; 2]; 2] {
         let before = self.evidence(counts);
         let missing = [0, 1].map(|from| match counts.side_that_misses() {
@@ -158,21 +163,21 @@ impl Counts {
         (first.min(second) == 0).then_some(usize::from(second == 0))
     }
 
-    fn add(&mut self, observes: bool, side: usize, unit: f64) {
+    fn add(&mut self, observes: bool, side: usize, factor: f64) {
         if observes {
             self.observers[side] += 1;
         } else {
-            self.missing[side] += unit;
+            self.missing[side] += factor;
         }
     }
 
     /// Moves an image that observes the point, or misses it, to the other group.
-    pub(super) fn move_image(&mut self, observes: bool, from: usize, unit: f64) {
-        self.add(observes, 1 - from, unit);
+    pub(super) fn move_image(&mut self, observes: bool, from: usize, factor: f64) {
+        self.add(observes, 1 - from, factor);
         if observes {
             self.observers[from] -= 1;
         } else {
-            self.missing[from] -= unit;
+            self.missing[from] -= factor;
         }
     }
 }

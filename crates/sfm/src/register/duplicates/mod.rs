@@ -20,21 +20,22 @@ mod division;
 mod evidence;
 mod expected;
 mod moves;
+mod nearest;
 mod recording;
-mod relations;
 mod search;
 mod spectral;
 
 use std::collections::BTreeSet;
 
-use tiepoint_scene::{CorrespondenceGraph, ImageId, ImagePair, Reconstruction};
+use tiepoint_scene::{CorrespondenceGraph, ImageId, Reconstruction};
 
 use crate::mapped_model::OtherPlace;
+use connection::connections;
 pub(crate) use connection::find_each_other;
 use evidence::Evidence;
 use expected::Expectations;
+use nearest::nearest;
 use recording::separates_cameras;
-use relations::Relations;
 
 /// The smaller of two places that the model holds as one; `None` if it holds one place. A group has
 /// at least `min_images` images. Matches of verified pairs agree with the poses to `max_error_px`.
@@ -49,8 +50,7 @@ pub(crate) fn duplicate_place(
         return None;
     }
     let expectations = Expectations::new(graph, model);
-    let relations = Relations::new(graph, model, max_error_px);
-    let sides = search::best_division(&expectations, &relations, seed)?;
+    let sides = search::best_division(&expectations, &nearest(model), seed)?;
     let num_second = sides.iter().filter(|side| **side).count();
     let num_smaller = num_second.min(sides.len() - num_second);
     if num_smaller < min_images || !Evidence::new(&expectations, &sides).is_of_two_places() {
@@ -63,12 +63,8 @@ pub(crate) fn duplicate_place(
     if separates_cameras(model, &images) {
         return None;
     }
-    let contradictions = relations.contradictions.iter();
-    let across = contradictions.filter(|(one, other)| sides[*one] != sides[*other]);
-    let pair = |(one, other): &(usize, usize)| {
-        ImagePair::new(expectations.images[*one], expectations.images[*other])
-    };
-    Some(OtherPlace { images, connections: across.filter_map(pair).collect() })
+    let connections = connections(graph, model, &images, max_error_px);
+    Some(OtherPlace { images, connections })
 }
 
 #[cfg(test)]
@@ -78,7 +74,7 @@ mod tests {
     use tiepoint_geometry::nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector2, Vector3};
     use tiepoint_geometry::{CameraModelKind, Intrinsics, Rigid3, Rng};
     use tiepoint_scene::{
-        Camera, Image, ImageId, Keypoint, Observation, Track, TwoView, TwoViewKind,
+        Camera, Image, ImageId, ImagePair, Keypoint, Observation, Track, TwoView, TwoViewKind,
     };
 
     use super::*;

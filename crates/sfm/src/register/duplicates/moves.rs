@@ -38,7 +38,7 @@ impl<'a> Moves<'a> {
         let total = |image: usize| -> f64 {
             let gain = |&(track, observes): &(usize, bool)| {
                 let gains = gains[track][usize::from(observes)][usize::from(sides[image])];
-                weights[track] * points.unit(image, observes) * gains
+                weights[track] * points.factor(image, observes) * gains
             };
             points.of_images[image].iter().map(gain).sum()
         };
@@ -52,7 +52,7 @@ impl<'a> Moves<'a> {
         self.sum += self.totals[image];
         let from = usize::from(self.sides[image]);
         for &(track, observes) in &self.points.of_images[image] {
-            self.counts[track].move_image(observes, from, self.points.unit(image, observes));
+            self.counts[track].move_image(observes, from, self.points.factor(image, observes));
             let before = self.gains[track];
             let after = self.points.gains(&self.counts[track]);
             self.gains[track] = after;
@@ -60,7 +60,7 @@ impl<'a> Moves<'a> {
                 let (kind, side) = (usize::from(observes), usize::from(self.sides[other]));
                 // The image itself: below.
                 self.totals[other] += self.weights[track]
-                    * self.points.unit(other, observes)
+                    * self.points.factor(other, observes)
                     * (after[kind][side] - before[kind][side]);
             }
         }
@@ -68,7 +68,7 @@ impl<'a> Moves<'a> {
         let side = usize::from(self.sides[image]);
         let gain = |&(track, observes): &(usize, bool)| {
             let gains = self.gains[track][usize::from(observes)][side];
-            self.weights[track] * self.points.unit(image, observes) * gains
+            self.weights[track] * self.points.factor(image, observes) * gains
         };
         self.totals[image] = self.points.of_images[image].iter().map(gain).sum();
         self.moved.push(image);
@@ -257,7 +257,7 @@ fn oriented(sides: &[bool]) -> Vec<bool> {
 
 /// The other images around each of several, the nearest first.
 fn around<'a>(points: &'a Points, num_images: usize) -> impl Iterator<Item = &'a Vec<usize>> {
-    points.relations.nearest.iter().step_by(num_images.div_ceil(MAX_CENTRES).max(1))
+    points.nearest.iter().step_by(num_images.div_ceil(MAX_CENTRES).max(1))
 }
 
 #[cfg(test)]
@@ -267,7 +267,6 @@ mod tests {
 
     use super::*;
     use crate::register::duplicates::expected::{Expectations, Expected, MAX_WITNESSES};
-    use crate::register::duplicates::relations::Relations;
 
     const IMAGES: usize = 12;
     const TRACKS: usize = 40;
@@ -276,7 +275,7 @@ mod tests {
     const TOLERANCE: f64 = 1e-9;
 
     /// Random observations and expectations.
-    fn random(rng: &mut Rng) -> (Expectations, Relations) {
+    fn random(rng: &mut Rng) -> (Expectations, Vec<Vec<usize>>) {
         let images = (0..IMAGES as u32).map(ImageId).collect();
         let (mut observers, mut expected, mut cells) = (Vec::new(), Vec::new(), Vec::new());
         for track in 0..TRACKS {
@@ -291,8 +290,7 @@ mod tests {
             observers.push(of_track);
         }
         let nearest = (0..IMAGES).map(|k| (0..IMAGES).map(|i| (i + k) % IMAGES).collect());
-        let relations = Relations { nearest: nearest.collect(), contradictions: Vec::new() };
-        (Expectations { images, observers, expected, cells }, relations)
+        (Expectations { images, observers, expected, cells }, nearest.collect())
     }
 
     const DRAWS: u64 = 32;
@@ -302,8 +300,8 @@ mod tests {
     fn what_moves_gain_is_the_difference_of_the_sums() {
         for seed in 0..DRAWS {
             let mut rng = Rng::stream(seed, &[]);
-            let (expectations, relations) = random(&mut rng);
-            let points = Points::new(&expectations, &relations).expect("many points are found");
+            let (expectations, nearest) = random(&mut rng);
+            let points = Points::new(&expectations, &nearest).expect("many points are found");
             let mut sides: Vec<bool> = (0..IMAGES).map(|_| rng.below(2) == 1).collect();
             let weights: Vec<f64> = (0..TRACKS).map(|_| rng.uniform()).collect();
             let first = points.weighted_sum(&sides, &weights);
@@ -330,8 +328,8 @@ mod tests {
         let mut num_improved = 0;
         for seed in 0..DRAWS {
             let mut rng = Rng::stream(seed, &[]);
-            let (expectations, relations) = random(&mut rng);
-            let points = Points::new(&expectations, &relations).expect("many points are found");
+            let (expectations, nearest) = random(&mut rng);
+            let points = Points::new(&expectations, &nearest).expect("many points are found");
             let first: Vec<bool> = (0..IMAGES).map(|_| rng.below(2) == 1).collect();
             let is_improved = |sides: &[bool]| {
                 let sum = points.sum(sides) + 2.0 * MIN_GAIN;
@@ -354,8 +352,8 @@ mod tests {
     fn more_effort_finds_no_worse_division() {
         for seed in 0..DRAWS {
             let mut rng = Rng::stream(seed, &[]);
-            let (expectations, relations) = random(&mut rng);
-            let points = Points::new(&expectations, &relations).expect("many points are found");
+            let (expectations, nearest) = random(&mut rng);
+            let points = Points::new(&expectations, &nearest).expect("many points are found");
             let first: Vec<bool> = (0..IMAGES).map(|_| rng.below(2) == 1).collect();
             let weights: Vec<f64> = (0..TRACKS).map(|_| rng.uniform()).collect();
             let mut last = points.weighted_sum(&first, &weights);

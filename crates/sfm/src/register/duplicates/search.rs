@@ -14,7 +14,6 @@ use super::division::Points;
 use super::evidence::Evidence;
 use super::expected::Expectations;
 use super::moves::{Effort, local_best, settled, settled_around};
-use super::relations::Relations;
 use super::spectral;
 
 /// Random starts. Local optima of two houses are right in some parts each. Not varied.
@@ -31,13 +30,14 @@ const MAX_SETTLED: usize = 8;
 /// Key of the random streams.
 const STREAM: u64 = 0x6475_7062;
 
-/// The best division that is found; `None` if nothing suggests one.
+/// The best division that is found; `None` if nothing suggests one. `nearest`: for each image all
+/// images, the nearest first.
 pub(super) fn best_division(
     expectations: &Expectations,
-    relations: &Relations,
+    nearest: &[Vec<usize>],
     seed: u64,
 ) -> Option<Vec<bool>> {
-    let points = Points::new(expectations, relations)?;
+    let points = Points::new(expectations, nearest)?;
     let spectral = spectral::divisions(expectations, seed);
     let with_sum = |sides: Vec<bool>| (points.sum(&sides), sides);
     let single = |sides| with_sum(local_best(&points, sides, false, Effort::Single));
